@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armwright.calibration import (
-        CalibrationResult,
-        calibrate,
-        make_points,
-        read_points,
-        read_recording,
-        verify,
-    )
+    from armwright.calibration import CalibrationResult, calibrate, make_points, read_points, read_recording, verify
     from armwright.connection import GripperState, RunningArm, Status, connect
     from armwright.gap import Gap, find_gap
     from armwright.kinematics import Kinematics
@@ -95,14 +88,7 @@ __all__ = [
 ]
 
 _NAMES = {
-    "armwright.calibration": (
-        "CalibrationResult",
-        "calibrate",
-        "make_points",
-        "read_points",
-        "read_recording",
-        "verify",
-    ),
+    "armwright.calibration": ("CalibrationResult", "calibrate", "make_points", "read_points", "read_recording", "verify"),
     "armwright.connection": ("GripperState", "RunningArm", "Status", "connect"),
     "armwright.gap": ("Gap", "find_gap"),
     "armwright.kinematics": ("Kinematics",),

@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.arm_problem.assembly import Choice
-from calib.calibration.calibrate import (
-    Calibrated,
-    CalibrationPlan,
-    LeaveOut,
-    write_calibrated_arm,
-    write_calibration_json,
-)
+from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, write_calibrated_arm, write_calibration_json
 from calib.calibration.calibrate import calibrate as calibrated
 from calib.calibration.report import calibration_report, judgement_json, summary_text
 from calib.errors import CalibrationError
@@ -90,9 +84,7 @@ class CalibrationResult:
         out = Path(folder)
         for name in RESULTS:
             if (out / name).exists():
-                raise CalibrationError(
-                    f"{out / name} exists already and is never overwritten: choose another folder"
-                )
+                raise CalibrationError(f"{out / name} exists already and is never overwritten: choose another folder")
         made, provenance = self.calibrated, made_today()
         nominal, found = made.nominal, made.found
         write_calibrated_arm(out / "arm.toml", nominal, found, provenance)
@@ -204,9 +196,7 @@ def verify(nominal: Arm, calibrated_arm: Arm, points: Points) -> Comparison:
 
 def _require_of(arm: Arm, points: Points) -> None:
     if points.joint_count != arm.joint_count:
-        raise CalibrationError(
-            f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
-        )
+        raise CalibrationError(f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}")
 
 
 def _array(values: ArrayLike, what: str) -> Array:

@@ -135,9 +135,7 @@ class RunningArm(Closing):
         """Home every joint, one after the other; returns at once if the boards still have their zeros."""
         self._client.home(timeout_s)
 
-    def move_joints(
-        self, joint_rad: Sequence[float] | Array, speed: float = 0.5, *, wait: bool = True
-    ) -> None:
+    def move_joints(self, joint_rad: Sequence[float] | Array, speed: float = 0.5, *, wait: bool = True) -> None:
         """Move to joint angles (n,) [rad], all joints arriving together; `speed` is a fraction of the joints' limits.
 
         With `wait=False` it returns at once; `wait_until_holding` then waits for the end.
@@ -160,15 +158,11 @@ class RunningArm(Closing):
         self._client.require_arm(trajectory.arm)
         planned, on = trajectory.arm.tool.name, self._client.status()["tool"]
         if planned != on:
-            raise ArmError(
-                f"the path is for the tip of tool {planned!r}, but {on!r} is mounted: plan it again"
-            )
+            raise ArmError(f"the path is for the tip of tool {planned!r}, but {on!r} is mounted: plan it again")
         self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
         self._client.run_path(trajectory.path.to_message(), wait, tool=planned)
 
-    def follow(
-        self, joint_rad: Sequence[float] | Array, speed_rad_s: Sequence[float] | Array | None = None
-    ) -> str:
+    def follow(self, joint_rad: Sequence[float] | Array, speed_rad_s: Sequence[float] | Array | None = None) -> str:
         """Jog after joint angles (n,) [rad] that move on, such as those of another arm or a policy; returns what limited it.
 
         `speed_rad_s` (n,): how fast they move, if that is known; else the arm lags by a sixth of a second. Call it at 10 Hz or
@@ -298,9 +292,7 @@ def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: 
 def _gripper_state(found: dict[str, Any] | None, arm: Arm) -> GripperState:
     if found is None:
         raise ArmError(f"arm {arm.name}: its file describes no gripper: add a [gripper]")
-    return GripperState(
-        found["state"], found["text"], found["opening_m"], found["force_N"], found["has_lost"]
-    )
+    return GripperState(found["state"], found["text"], found["opening_m"], found["force_N"], found["has_lost"])
 
 
 def _array(values: Any) -> Array:

@@ -41,9 +41,7 @@ except ImportError as error:
 Array = NDArray[np.float32]
 Observation = dict[str, Any]  # of Array, as Gymnasium's Dict has it
 RANGE_SHARE: Final = 0.8  # of each joint's range, for starts and targets: away from the ends
-CLEARANCE_m: Final = (
-    0.03  # of starts and targets, from floor and base: the arm sinks by 10 mm until its drives are on
-)
+CLEARANCE_m: Final = 0.03  # of starts and targets, from floor and base: the arm sinks by 10 mm until its drives are on
 DRAWS_MOST: Final = 1000
 SPEED_MARGIN: Final = 1.5  # beyond the joint's speed limit, where the loop takes a joint for a runaway
 
@@ -104,9 +102,7 @@ class ReachEnvironment(gymnasium.Env[Observation, Array]):
         """The mock arm of this episode: its true state, its payload."""
         return self._mock
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Power a new mock arm up at a random pose and switch its drives on; `options` are not used.
 
         An episode follows from its seed and its actions alone.
@@ -122,9 +118,7 @@ class ReachEnvironment(gymnasium.Env[Observation, Array]):
         """Move the joints at these speeds for one period. BadTarget unless they are n finite numbers."""
         speeds = np.asarray(action, dtype=np.float64)
         if speeds.shape != self.action_space.shape or not np.isfinite(speeds).all():
-            raise BadTarget(
-                f"action: expected {self._arm.joint_count} finite speeds [rad/s], got {np.asarray(action).tolist()}"
-            )
+            raise BadTarget(f"action: expected {self._arm.joint_count} finite speeds [rad/s], got {np.asarray(action).tolist()}")
         try:
             limited = str(self._client.ask("jog", joint_speed_rad_s=speeds.tolist())["limited"])
         except RequestRefused as refused:  # nothing moves
@@ -165,8 +159,7 @@ class ReachEnvironment(gymnasium.Env[Observation, Array]):
             "target_m": self._target_m,
         }
         observation = {
-            name: np.clip(np.asarray(values[name], dtype=np.float32), box.low, box.high)
-            for name, box in self._boxes.items()
+            name: np.clip(np.asarray(values[name], dtype=np.float32), box.low, box.high) for name, box in self._boxes.items()
         }
         distance_m = math.dist(self._mock.true_tip_m(), self._target_m)
         info = {

@@ -85,9 +85,7 @@ def _recordings(arm: Arm, points: Points | Files | None, log: Files | None, curr
     if not isinstance(points, Points):
         return read_recordings(arm, _files(points), _files(log), current_unit)
     if points.joint_count != arm.joint_count:
-        raise CalibrationError(
-            f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}"
-        )
+        raise CalibrationError(f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}")
     if log is None:
         return Recordings(points, None, (), (), ())
     return dataclasses.replace(read_recordings(arm, (), _files(log), current_unit), points=points)

@@ -71,8 +71,7 @@ class Kinematics:
                 f"near_rad: expected shape ({self.joint_count},) or {(*shape, self.joint_count)}, got {near.shape}"
             ) from None
         found = [
-            nearest_rad(self._inverse, self._posed, tip, start)
-            for tip, start in zip(tips.tolist(), starts.tolist(), strict=True)
+            nearest_rad(self._inverse, self._posed, tip, start) for tip, start in zip(tips.tolist(), starts.tolist(), strict=True)
         ]
         return np.array(found, dtype=np.float64).reshape(*shape, self.joint_count)
 
@@ -86,9 +85,7 @@ class Kinematics:
         if shape:
             raise BadTarget(f"tip position: expected shape (3,), got {(*shape, 3)}")
         if not self._inverse.has_branches:
-            raise MissingModel(
-                "this arm has no named branches: `inverse` with different near_rad gives its solutions"
-            )
+            raise MissingModel("this arm has no named branches: `inverse` with different near_rad gives its solutions")
         return tuple(self._inverse.branches(tips[0].tolist()))
 
 

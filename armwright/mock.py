@@ -58,11 +58,7 @@ class MockArm(RunningArm):
 
 @contextmanager
 def mock_arm(
-    arm: Arm | str | Path = "right",
-    scenario: str | Path = "ideal",
-    *,
-    realtime: bool = False,
-    folder: str | Path | None = None,
+    arm: Arm | str | Path = "right", scenario: str | Path = "ideal", *, realtime: bool = False, folder: str | Path | None = None
 ) -> Iterator[MockArm]:
     """Start a mock of `arm` with a control loop, connect, and end both afterwards. The drives are off at first.
 

@@ -25,14 +25,8 @@ SECTIONS = {  # name: title, module
     "control_cycle": ("One control cycle without waiting", "benchmarks.loop.control_cycle"),
     "cycle_by_joints": ("One control cycle by joints and boards", "benchmarks.loop.cycle_by_joints"),
     "wire": ("Frames", "benchmarks.loop.wire"),
-    "identification": (
-        "Identification: 16 parameters of the reference arm",
-        "benchmarks.calibration.identification",
-    ),
-    "tolerances": (
-        "Tolerance study: arms made, calibrated, compared",
-        "benchmarks.calibration.tolerance_throughput",
-    ),
+    "identification": ("Identification: 16 parameters of the reference arm", "benchmarks.calibration.identification"),
+    "tolerances": ("Tolerance study: arms made, calibrated, compared", "benchmarks.calibration.tolerance_throughput"),
     "tracking": ("Tip tracking: circle of 0.09 m at 0.15 m/s", "benchmarks.loop.tracking"),
     "pose_tracking": ("Tip tracking with orientation", "benchmarks.loop.pose_tracking"),
     "stepped": ("Stepped simulation of the whole loop", "benchmarks.loop.stepped"),
@@ -98,8 +92,7 @@ def _line(row: BenchRow) -> str:
     verdict = {None: "", True: ": passed", False: ": SHORT"}[row.passed]
     beside = row.peer if row.peer_value is None else f"{row.peer} ({row.peer_value:.4g})"
     return (
-        f"{row.name:{NAME_WIDTH}} {row.value:9.4g} {row.unit:<7}{ratio:>9}    {beside:<{PEER_WIDTH}} "
-        f"{row.target}{verdict}"
+        f"{row.name:{NAME_WIDTH}} {row.value:9.4g} {row.unit:<7}{ratio:>9}    {beside:<{PEER_WIDTH}} {row.target}{verdict}"
     ).rstrip()
 
 
@@ -115,9 +108,7 @@ def _save(found: dict[str, list[BenchRow]], failed: Sequence[str]) -> None:
     }
     rows = {name: [asdict(row) for row in section] for name, section in found.items()}
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(
-        json.dumps(_finite({**about, "failed": failed, "rows": rows}), indent=1) + "\n", encoding="utf-8"
-    )
+    OUT.write_text(json.dumps(_finite({**about, "failed": failed, "rows": rows}), indent=1) + "\n", encoding="utf-8")
 
 
 def _finite(value: object) -> object:

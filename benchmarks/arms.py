@@ -31,24 +31,32 @@ def arm_of(
     homes: bool = False,
 ) -> Arm:
     """A whole arm: every joint with a drive like the reference arm's first, 5.2 rad of travel."""
-    links = tuple(
-        Link("revolute", *row, *_body(row, convention, rows[k + 1 : k + 2])) for k, row in enumerate(rows)
-    )
+    links = tuple(Link("revolute", *row, *_body(row, convention, rows[k + 1 : k + 2])) for k, row in enumerate(rows))
     drives = tuple(
         replace(
-            RIGHT.drives[0], joint=j, motor_node=j, encoder_board=(j - 1) // 3, encoder_channel=(j - 1) % 3,
+            RIGHT.drives[0],
+            joint=j,
+            motor_node=j,
+            encoder_board=(j - 1) // 3,
+            encoder_channel=(j - 1) % 3,
             home=Home(0.1, 0.1314159) if homes else None,
         )
         for j in range(1, len(rows) + 1)
-    )  # fmt: skip
-    boards = tuple(
-        EncoderBoardPort(f"encoders {k + 1}", f"{_BOARD['port']}-{k + 1}")
-        for k in range((len(rows) + 2) // 3)
     )
+    boards = tuple(EncoderBoardPort(f"encoders {k + 1}", f"{_BOARD['port']}-{k + 1}") for k in range((len(rows) + 2) // 3))
     return replace(
-        RIGHT, name=name, links=links, dh_convention=convention, drives=drives, encoder_boards=boards,
-        can=CanBus("socketcan", "can0"), tool=Tool(tool_m), rest=Rest(tuple(rest_rad)), limits=Limits(), path=None,
-    )  # fmt: skip
+        RIGHT,
+        name=name,
+        links=links,
+        dh_convention=convention,
+        drives=drives,
+        encoder_boards=boards,
+        can=CanBus("socketcan", "can0"),
+        tool=Tool(tool_m),
+        rest=Rest(tuple(rest_rad)),
+        limits=Limits(),
+        path=None,
+    )
 
 
 def _body(
@@ -56,9 +64,7 @@ def _body(
 ) -> tuple[float, tuple[float, float, float], tuple[float, float, float]]:
     """Mass, centre of mass and inertia of a link: a slim rod of 1.2 kg/m along its length, 0.3 kg at least."""
     d, _, length, _ = row
-    if (
-        convention == "modified"
-    ):  # the rod leads to the next frame: x by its L, then by its d along the turned z
+    if convention == "modified":  # the rod leads to the next frame: x by its L, then by its d along the turned z
         following = after[0] if after else (0.0, 0.0, 0.0, 0.0)
         com = (0.5 * following[2], 0.0, 0.0)
         span = abs(following[2]) + 0.5 * abs(following[0])
@@ -80,31 +86,38 @@ FOUR = arm_of(
 )
 FIVE = arm_of(
     "five",
-    [
-        (0.2, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.32, 0.0), (0.0, 0.0, 0.26, 0.0), (0.0, pi / 2, 0.0, pi / 2), (0.1, 0.0, 0.0, 0.0),
-    ],
+    [(0.2, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.32, 0.0), (0.0, 0.0, 0.26, 0.0), (0.0, pi / 2, 0.0, pi / 2), (0.1, 0.0, 0.0, 0.0)],
     "standard",
     (0.0, 1.3, -1.5, -0.9, 0.1),
-)  # fmt: skip
+)
 SIX = arm_of(
     "six",
     [
-        (0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.35, 0.0), (0.32, 0.0, 0.02, pi / 2),
-        (0.0, 0.0, 0.0, -pi / 2), (0.08, 0.0, 0.0, pi / 2),
+        (0.3, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, pi / 2),
+        (0.0, 0.0, 0.35, 0.0),
+        (0.32, 0.0, 0.02, pi / 2),
+        (0.0, 0.0, 0.0, -pi / 2),
+        (0.08, 0.0, 0.0, pi / 2),
     ],
     "modified",
     (0.0, 1.3, -0.3, 0.1, 0.9, 0.0),
     tool_m=(0.0, 0.0, 0.05),
-)  # fmt: skip
+)
 SEVEN = arm_of(
     "seven",
     [
-        (0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -pi / 2), (0.3, 0.0, 0.0, pi / 2), (0.0, 0.0, 0.0, pi / 2),
-        (0.3, 0.0, 0.0, -pi / 2), (0.0, 0.0, 0.0, -pi / 2), (0.1, 0.0, 0.0, pi / 2),
+        (0.3, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, -pi / 2),
+        (0.3, 0.0, 0.0, pi / 2),
+        (0.0, 0.0, 0.0, pi / 2),
+        (0.3, 0.0, 0.0, -pi / 2),
+        (0.0, 0.0, 0.0, -pi / 2),
+        (0.1, 0.0, 0.0, pi / 2),
     ],
     "modified",
     (0.0, 0.5, 0.1, -1.4, 0.1, 1.0, 0.0),
-)  # fmt: skip
+)
 ARMS = {arm.name: arm for arm in (TWO, FOUR, FIVE, SIX, SEVEN)}
 
 
@@ -118,9 +131,7 @@ def tip_of(arm: Arm) -> TipPose:
     return TipPose.of(tip.position_m[0], rotation.quaternions(tip.rotation)[0])
 
 
-def circle_in_place(
-    arm: Arm, radius_m: float = 0.05, tilt_rad: float | None = None, points: int = 12
-) -> Waypoints:
+def circle_in_place(arm: Arm, radius_m: float = 0.05, tilt_rad: float | None = None, points: int = 12) -> Waypoints:
     """A level circle that begins where the tip rests; the orientation is free, or rocks by `tilt_rad` on the way."""
     here = tip_of(arm)
     turn = np.linspace(0.0, 2.0 * np.pi, points + 1)

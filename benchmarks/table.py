@@ -24,13 +24,7 @@ class BenchRow:
 
 
 def compared(
-    name: str,
-    value: float,
-    unit: str,
-    peer: str,
-    peer_value: float | None,
-    target: str,
-    largest_ratio: float | None,
+    name: str, value: float, unit: str, peer: str, peer_value: float | None, target: str, largest_ratio: float | None
 ) -> BenchRow:
     """Return a row with a peer; without the peer's value there is no verdict, and for zero there is no ratio."""
     if peer_value is None:

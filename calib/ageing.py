@@ -106,9 +106,7 @@ def geometry_of(problem: ArmProblem, found: Identification) -> GeometryRecord:
 def quantities_of(found: GapFinding) -> dict[str, Quantity]:
     """The parameters of the effects that a gap named, such as `backlash2.width_rad`."""
     return {
-        f"{one.name.effect}{one.name.joint or ''}.{parameter}": Quantity(
-            value, sd if np.isfinite(sd) else None
-        )
+        f"{one.name.effect}{one.name.joint or ''}.{parameter}": Quantity(value, sd if np.isfinite(sd) else None)
         for one in found.effects
         for parameter, (value, sd) in one.parameters.items()
     }
@@ -156,9 +154,7 @@ def _entry(line: bytes, where: str) -> Entry:
     if entry.format != FORMAT:
         raise HistoryFileError(f'{where}: expected format "{FORMAT}", got "{entry.format}"')
     if entry.measured.tzinfo is None:
-        raise HistoryFileError(
-            f"{where}: measured: expected a date with its time zone, such as 2026-11-23T09:00:00Z"
-        )
+        raise HistoryFileError(f"{where}: measured: expected a date with its time zone, such as 2026-11-23T09:00:00Z")
     return entry
 
 
@@ -169,9 +165,7 @@ def measured_at(text: str | None) -> datetime.datetime:
     try:
         found = datetime.datetime.fromisoformat(text)
     except ValueError:
-        raise CalibrationError(
-            f'--measured: expected a date such as 2026-11-23 or 2026-11-23T09:00, got "{text}"'
-        ) from None
+        raise CalibrationError(f'--measured: expected a date such as 2026-11-23 or 2026-11-23T09:00, got "{text}"') from None
     return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
 
 
@@ -250,9 +244,7 @@ class _View:
         slopes = self._model.slopes(self._dh, self._q)
         self._tips = slopes.tips
         places = [self._every.index(name) for name in last.names if name in self._every]
-        scales = np.array(
-            [scale for name, scale in zip(last.names, last.scales, strict=True) if name in self._every]
-        )
+        scales = np.array([scale for name, scale in zip(last.names, last.scales, strict=True) if name in self._every])
         by_dh = slopes.by_dh.reshape(-1, len(self._every))
         left, singular, _ = np.linalg.svd(by_dh[:, places] * scales, full_matrices=False)
         self._basis = left[:, singular > RANK_TOLERANCE * singular[0]]
@@ -295,9 +287,7 @@ def _about(information: Array, rows: list[int]) -> Array:
     return np.asarray(own - across @ inverse @ across.T)
 
 
-def _fitted(
-    view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]
-) -> DriftLine:
+def _fitted(view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]) -> DriftLine:
     """`time`: what has passed until each calibration, -1 to 0; what the rate is per, in days; and the days of the record."""
     size, (passed, unit, span) = len(values[-1]), time
     normal, moment = np.zeros((2 * size, 2 * size)), np.zeros(2 * size)
@@ -338,9 +328,7 @@ def _rank(information: Array) -> int:
 # does not.
 
 
-LEFT_MOST: Final = (
-    0.1  # of a line's excess chi-squared: steady drift, an outlier or mere scatter leaves a step far more
-)
+LEFT_MOST: Final = 0.1  # of a line's excess chi-squared: steady drift, an outlier or mere scatter leaves a step far more
 
 
 @dataclass(frozen=True, slots=True)
@@ -467,15 +455,7 @@ def _odd(arm: Arm, entries: Sequence[Entry]) -> Entry | None:
 
 def _zero(line: DriftLine, joint: int, change: float, sd: float) -> Rate:
     half, sure = (_quantile(level, line.freedom) * sd for level in (LEVEL, SURE))
-    return Rate(
-        f"joint {joint + 1}: zero",
-        "rad",
-        float(line.zeros_rad[joint]),
-        change,
-        half,
-        abs(change) > sure,
-        line.count,
-    )
+    return Rate(f"joint {joint + 1}: zero", "rad", float(line.zeros_rad[joint]), change, half, abs(change) > sure, line.count)
 
 
 def _quantile(level: float, freedom: int) -> float:
@@ -561,8 +541,7 @@ def due(line: DriftLine, tolerance_m: float) -> Due | None:
         return None
     start, speed = _drawn(line)
     constant, mixed, square = (
-        np.einsum("dr,dr->d", one, other) / line.poses_count
-        for one, other in ((start, start), (start, speed), (speed, speed))
+        np.einsum("dr,dr->d", one, other) / line.poses_count for one, other in ((start, start), (start, speed), (speed, speed))
     )
     days = _first_day(constant, mixed, square, tolerance_m)
     furthest = FURTHEST * line.days
@@ -613,9 +592,7 @@ class Trend:
         return (*(self.geometry.zeros if self.geometry else ()), *self.quantities)
 
 
-def trend_of(
-    arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = None, now: datetime.datetime | None = None
-) -> Trend:
+def trend_of(arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = None, now: datetime.datetime | None = None) -> Trend:
     """The trend of an arm's history, sorted by date."""
     geometry = geometry_trend(arm, entries)
     step = None if geometry is None or geometry.is_steady else step_of(arm, entries, geometry.line)
@@ -711,9 +688,7 @@ def _about_due(trend: Trend) -> Iterator[str]:
         return
     limit = f"{MILLI * trend.tolerance_m:.3g} mm"
     if trend.due is None:
-        yield (
-            f"The next date cannot be estimated for {limit} yet: that needs at least {LEAST} calibrations on different days."
-        )
+        yield (f"The next date cannot be estimated for {limit} yet: that needs at least {LEAST} calibrations on different days.")
         return
     last = [one for one in trend.entries if one.geometry is not None][-1].measured
     if trend.due.days <= 0.0:
@@ -755,8 +730,7 @@ def trend_json(trend: Trend) -> dict[str, object]:
         "arm": trend.arm,
         "entries": len(trend.entries),
         "rates": [
-            entries(one, "name", "value", "drifts")
-            | {"per_year": one.change, "half_interval": one.half, "records": one.count}
+            entries(one, "name", "value", "drifts") | {"per_year": one.change, "half_interval": one.half, "records": one.count}
             for one in trend.rates
         ],
         "step": trend.step

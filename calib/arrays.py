@@ -42,7 +42,5 @@ def slim_product(left: Array, right: Array) -> Array:
         return np.asarray(left @ right.T)
     pieces = n // size
     body = pieces * size
-    parts = left[:, :body].reshape(a, pieces, size).swapaxes(0, 1) @ right[:, :body].reshape(
-        b, pieces, size
-    ).transpose(1, 2, 0)
+    parts = left[:, :body].reshape(a, pieces, size).swapaxes(0, 1) @ right[:, :body].reshape(b, pieces, size).transpose(1, 2, 0)
     return np.asarray(parts.sum(axis=0) + left[:, body:] @ right[:, body:].T)

@@ -86,9 +86,7 @@ MARKERS = TableFormat(
     "marker",
     (
         TableColumn("setup", "placement of the board", is_required=True, is_name=True),
-        TableColumn(
-            "marker", "a cavity by name; rows of one marker are averaged", is_required=True, is_name=True
-        ),
+        TableColumn("marker", "a cavity by name; rows of one marker are averaged", is_required=True, is_name=True),
         *(TableColumn(name, "measured position in the base frame", is_required=True) for name in TIP),
     ),
     unwarned="|".join((*ORIENTATION, *COVARIANCE)),
@@ -121,9 +119,7 @@ class Markers:
 def read_markers(path: Path) -> Markers:
     """Read the measurements of a file. PointsFileError names file, line and column."""
     table = read_table(path, MARKERS, PointsFileError)
-    return Markers(
-        tuple(table.words("setup")), tuple(table.words("marker")), frozen(table.numbers(*TIP)), table.warnings
-    )
+    return Markers(tuple(table.words("setup")), tuple(table.words("marker")), frozen(table.numbers(*TIP)), table.warnings)
 
 
 def markers_text(markers: Markers) -> str:
@@ -233,10 +229,7 @@ def _agreeing(motions: RigidMotion, board_m: Array, seen_m: Array, count: int) -
     """The `count` markers with the least sum of squares under one motion."""
     squares = np.sort(squares_m2(motions, board_m, seen_m), axis=-1)
     promising = np.argsort(squares[:, :count].sum(axis=-1))[:REFINED]
-    candidates = {
-        _refined(RigidMotion(motions.rotation[i], motions.shift_m[i]), board_m, seen_m, count)
-        for i in promising
-    }
+    candidates = {_refined(RigidMotion(motions.rotation[i], motions.shift_m[i]), board_m, seen_m, count) for i in promising}
     return min(sorted(candidates), key=lambda rows: _sum_of_squares(board_m, seen_m, rows))
 
 
@@ -357,9 +350,7 @@ def _register_setup(markers: Markers, cavities: Cavities, setup: str) -> Registr
     seen = markers.means_m(setup)
     for name in seen:
         if name not in cavities:
-            raise RegistrationError(
-                f"setup {setup}: the board has no marker {name}; it has {_few(list(cavities))}"
-            )
+            raise RegistrationError(f"setup {setup}: the board has no marker {name}; it has {_few(list(cavities))}")
     board_m = np.array([np.asarray(cavities[name], dtype=float) for name in seen])
     try:
         found = register(board_m, np.array(list(seen.values())), tuple(seen))
@@ -375,13 +366,9 @@ def _register_setup(markers: Markers, cavities: Cavities, setup: str) -> Registr
 
 def _require_shape(board_m: Array, seen_m: Array, names: Sequence[str]) -> None:
     if board_m.shape != seen_m.shape or board_m.ndim != 2 or board_m.shape[1] != 3:
-        raise RegistrationError(
-            f"markers on the board {board_m.shape} and seen {seen_m.shape}: expected (k, 3) twice"
-        )
+        raise RegistrationError(f"markers on the board {board_m.shape} and seen {seen_m.shape}: expected (k, 3) twice")
     if len(names) != len(board_m) or len(set(names)) != len(names):
-        raise RegistrationError(
-            f"{len(board_m)} markers: expected a different name for each, got {_few(names)}"
-        )
+        raise RegistrationError(f"{len(board_m)} markers: expected a different name for each, got {_few(names)}")
     if len(board_m) < FEWEST:
         raise RegistrationError(
             f"{len(board_m)} markers ({_few(names)}): a board's pose needs three or more that are not collinear"
@@ -392,9 +379,7 @@ def _require_finite(board_m: Array, seen_m: Array, names: Sequence[str]) -> None
     for where, positions in (("on the board", board_m), ("seen", seen_m)):
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         if len(bad):
-            raise RegistrationError(
-                f"marker {names[int(bad[0])]} {where}: {_spelled(positions[int(bad[0])])} is not a position"
-            )
+            raise RegistrationError(f"marker {names[int(bad[0])]} {where}: {_spelled(positions[int(bad[0])])} is not a position")
 
 
 def _require_area(board_m: Array, names: Sequence[str]) -> None:
@@ -419,9 +404,7 @@ def _require_match(board_m: Array, seen_m: Array, names: Sequence[str]) -> None:
         raise RegistrationError(
             "the markers seen are the board's mirror image: a coordinate has the wrong sign, or names are swapped"
         )
-    raise RegistrationError(
-        f"the markers seen do not have the board's shape: {_worst_pair(board_m, seen_m, names)}"
-    )
+    raise RegistrationError(f"the markers seen do not have the board's shape: {_worst_pair(board_m, seen_m, names)}")
 
 
 def _worst_pair(board_m: Array, seen_m: Array, names: Sequence[str]) -> str:
@@ -439,17 +422,11 @@ def _worst_pair(board_m: Array, seen_m: Array, names: Sequence[str]) -> str:
 
 def _notes(count: int, left_out: int) -> tuple[str, ...]:
     if count == FEWEST:
-        return (
-            "three markers: a wrong one is detected only if it changes their distances, and cannot be identified",
-        )
+        return ("three markers: a wrong one is detected only if it changes their distances, and cannot be identified",)
     if count < FEWEST_TO_NAME:
-        return (
-            "four markers: a wrong one is detected by the residuals but not identified; five can identify it",
-        )
+        return ("four markers: a wrong one is detected by the residuals but not identified; five can identify it",)
     if left_out:
-        return (
-            f"{left_out} of {count} markers disagree with the others and are not used; measure them again",
-        )
+        return (f"{left_out} of {count} markers disagree with the others and are not used; measure them again",)
     return ()
 
 

@@ -21,15 +21,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import cross_matrix
 from calib.arrays import Array, Mask
 from calib.gap.plan.motions import collision_free_box
-from calib.gap.plan.plan import (
-    MARGIN_rad,
-    NamedPose,
-    PlanExtent,
-    PlannedVisit,
-    RecordingPlan,
-    plan_of,
-    static_poses,
-)
+from calib.gap.plan.plan import MARGIN_rad, NamedPose, PlanExtent, PlannedVisit, RecordingPlan, plan_of, static_poses
 from calib.points.points import Points, joined, make_points
 from calib.results import entries
 from calib.trust.discrepancy import Conditions, Discrepancy
@@ -42,9 +34,7 @@ from control.model.arm import Arm
 # how surely.
 
 
-LOAD_LEAST_Nm: Final = (
-    0.01  # a joint that gravity loads by less, such as a vertical one, tells nothing of its give
-)
+LOAD_LEAST_Nm: Final = 0.01  # a joint that gravity loads by less, such as a vertical one, tells nothing of its give
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,16 +152,8 @@ def _blocks(parts: Array) -> Array:
 
 
 Kind = Literal["nothing", "zero", "play", "load", "link", "frame", "several"]
-FREEDOM: Final = (
-    10.0  # what is left of predicted tips was 0.85 to 1.6 times what had been promised (make trust-study)
-)
-ANGLES_rad: Final = (
-    3e-4,
-    1e-3,
-    3e-3,
-    1e-2,
-    3e-2,
-)  # sizes of a joint's change: from below what shows to a slipped tooth
+FREEDOM: Final = 10.0  # what is left of predicted tips was 0.85 to 1.6 times what had been promised (make trust-study)
+ANGLES_rad: Final = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # sizes of a joint's change: from below what shows to a slipped tooth
 LENGTHS_m: Final = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of a frame's or a link's
 LEVER_m: Final = 0.3  # turns one into the other
 STRAIGHT_rad: Final = 1e-3  # up to which the tip's way is straight to a micrometre
@@ -217,9 +199,7 @@ def _causes(at: ExpectedTips) -> Iterator[Cause]:
         loose = 0.25 * (at.flank[:, j] == 0.0)[:, None, None] * np.einsum("mi,mk->mik", moves, moves)
         yield Cause("play", j + 1, -0.5 * (at.flank[:, j, None] * moves)[:, :, None], loose, ANGLES_rad)
         if at.load[:, j].any():
-            pulls = np.stack(
-                (at.load[:, j], at.held[:, j]), axis=1
-            )  # of friction, a part is on the link's side
+            pulls = np.stack((at.load[:, j], at.held[:, j]), axis=1)  # of friction, a part is on the link's side
             yield Cause("load", j + 1, -moves[:, :, None] * pulls[:, None, :], None, ANGLES_rad)
     for link in range(at.by_link.shape[2] // 4):
         d, _, length, alpha = (at.by_link[:, :, 4 * link + k] for k in range(4))
@@ -256,11 +236,7 @@ def misfit_limit(coordinates: int) -> float:
 
 def _several(singles: Sequence[Cause]) -> Cause:
     """All causes at once, each with amplitudes of one size: angles in rad, lengths over a lever."""
-    columns = [
-        one.columns if one.sizes == ANGLES_rad else one.columns * LEVER_m
-        for one in singles
-        if one.kind != "nothing"
-    ]
+    columns = [one.columns if one.sizes == ANGLES_rad else one.columns * LEVER_m for one in singles if one.kind != "nothing"]
     return Cause("several", 0, np.concatenate(columns, axis=2), None, ANGLES_rad)
 
 
@@ -307,13 +283,9 @@ def _mean_of(logs: list[float]) -> float:
 
 
 SURE: Final = 0.9  # probability from which one decision is given
-SLIP_rad: Final = (
-    0.008  # of a zero: settling and temperature move it by less, a slipped coupling or a lost tooth by more
-)
+SLIP_rad: Final = 0.008  # of a zero: settling and temperature move it by less, a slipped coupling or a lost tooth by more
 BENT_m: Final = 0.003  # of the tip, by one link: more than parts settle
-LEFT_MOST: Final = (
-    0.05  # of chi-squared if nothing had changed: a cause that leaves less is one, whatever else there is
-)
+LEFT_MOST: Final = 0.05  # of chi-squared if nothing had changed: a cause that leaves less is one, whatever else there is
 CAUSES_NAMED: Final = 3
 
 FINE, RECALIBRATE = "fine", "recalibrate"
@@ -431,9 +403,7 @@ def _advice(first: Judged) -> str:
         case "zero":
             return f"Look for a slipped coupling, encoder or belt of joint {number}; then home and calibrate."
         case "play":
-            return (
-                f"Look for wear or a loose fit in the gear of joint {number}; then calibrate, and run `gap`."
-            )
+            return f"Look for wear or a loose fit in the gear of joint {number}; then calibrate, and run `gap`."
         case "load":
             return f"Look for a loose screw, clamp or belt at joint {number}; then calibrate, and run `gap`."
         case _:
@@ -441,9 +411,7 @@ def _advice(first: Judged) -> str:
 
 
 def _listed(causes: Sequence[Judged]) -> str:
-    return "; ".join(
-        f"{words_of(one)} ({_percent(one.probability)})" for one in causes if one.probability >= 0.01
-    )
+    return "; ".join(f"{words_of(one)} ({_percent(one.probability)})" for one in causes if one.probability >= 0.01)
 
 
 def _percent(share: float) -> str:
@@ -494,8 +462,7 @@ def checkup_plan(arm: Arm, earlier: Points, count: int = POSES, speed: float = 1
 def _visits(pose: NamedPose, side: tuple[int, ...]) -> tuple[PlannedVisit, PlannedVisit]:
     ways = (side, _against(side))
     first, second = (
-        PlannedVisit(pose.name, repeat, pose.q_rad, way, 0.0, pose.via_rad, SETUP)
-        for repeat, way in enumerate(ways, 1)
+        PlannedVisit(pose.name, repeat, pose.q_rad, way, 0.0, pose.via_rad, SETUP) for repeat, way in enumerate(ways, 1)
     )
     return first, second
 
@@ -503,11 +470,7 @@ def _visits(pose: NamedPose, side: tuple[int, ...]) -> tuple[PlannedVisit, Plann
 def _best(at: ExpectedTips, count: int) -> list[int]:
     """Greedy: the pose (two rows) that adds most to the logarithm of the information's determinant."""
     columns = np.concatenate(
-        [
-            one.columns * (SIZE_rad if one.kind in ("zero", "play", "load") else 0.3 * SIZE_rad)
-            for one in causes_of(at)
-        ],
-        axis=2,
+        [one.columns * (SIZE_rad if one.kind in ("zero", "play", "load") else 0.3 * SIZE_rad) for one in causes_of(at)], axis=2
     )
     half = len(at) // 2
     parts = [_information(at, columns, [2 * k, 2 * k + 1]) for k in range(half)]

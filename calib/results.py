@@ -59,13 +59,7 @@ class Provenance:
 
     def heading(self, form: str, **more: str) -> dict[str, object]:
         """The first entries of a result file of the format `form`, such as "trust/1"."""
-        return {
-            "format": form,
-            **more,
-            "date": self.date,
-            "program_version": self.program,
-            "inputs": self.hashes,
-        }
+        return {"format": form, **more, "date": self.date, "program_version": self.program, "inputs": self.hashes}
 
     def of_arm(self, nominal: Arm, objective: str) -> Calibration:
         """For the file of an arm that was made of `nominal`."""
@@ -75,9 +69,7 @@ class Provenance:
 
 def made_today(*inputs: InputFile) -> Provenance:
     """Of a result that this program makes now; the date is UTC's."""
-    return Provenance(
-        inputs, datetime.datetime.now(datetime.UTC).date().isoformat(), f"armwright {version('armwright')}"
-    )
+    return Provenance(inputs, datetime.datetime.now(datetime.UTC).date().isoformat(), f"armwright {version('armwright')}")
 
 
 def json_text(content: object) -> str:

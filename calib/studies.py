@@ -91,16 +91,12 @@ class ProcessPool(AbstractContextManager["ProcessPool"]):
         with held():  # it may start a process
             return self._pool.submit(work, shared, number)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Tasks that run are finished, those that wait are dropped."""
         self._pool.shutdown(cancel_futures=True)
 
 
-def as_they_come(
-    submit: Callable[[int], Future[T]], limit: int, numbers: Sequence[int]
-) -> Iterator[tuple[int, T]]:
+def as_they_come(submit: Callable[[int], Future[T]], limit: int, numbers: Sequence[int]) -> Iterator[tuple[int, T]]:
     """Results of futures, with at most `limit` of them unfinished or unread; what is finished comes before what failed."""
     waiting = iter(numbers)
     running = {submit(number): number for number in itertools.islice(waiting, limit)}
@@ -161,16 +157,7 @@ class ChunkStore:
         try:
             with self._file(number).open("rb") as file, np.load(file, allow_pickle=False) as content:
                 return {name: content[name] for name in content.files}
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            EOFError,
-            NotImplementedError,
-            MemoryError,
-            BadZipFile,
-            zlib.error,
-        ) as error:
+        except (OSError, ValueError, KeyError, EOFError, NotImplementedError, MemoryError, BadZipFile, zlib.error) as error:
             raise CalibrationError(
                 f"{self._file(number)}: damaged ({type(error).__name__}): remove it, and start the study again"
             ) from None
@@ -184,12 +171,7 @@ class ChunkStore:
 
 
 def run_study(
-    work: Work[S, Results],
-    shared: S,
-    count: int,
-    executor: Executor,
-    store: ChunkStore,
-    advance: Advance = silent,
+    work: Work[S, Results], shared: S, count: int, executor: Executor, store: ChunkStore, advance: Advance = silent
 ) -> None:
     """Run the tasks 0 .. count - 1 that the store does not have, and store them."""
     missing = [number for number in range(count) if not store.has(number)]
@@ -257,9 +239,7 @@ class DaskCluster(AbstractContextManager["DaskCluster"]):
 
     def _require_same_program(self) -> None:
         if not self.workers:
-            raise CalibrationError(
-                f"--cluster {self._address}: the scheduler has no workers: start `dask worker`"
-            )
+            raise CalibrationError(f"--cluster {self._address}: the scheduler has no workers: start `dask worker`")
         ours = version("armwright")
         theirs = set(self._client.run(version, "armwright").values())
         if theirs != {ours}:
@@ -267,9 +247,7 @@ class DaskCluster(AbstractContextManager["DaskCluster"]):
                 f"--cluster {self._address}: the workers have armwright {', '.join(sorted(theirs))}, expected {ours}"
             )
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """The cluster goes on; its tasks of this study are dropped."""
         self._client.close()
 

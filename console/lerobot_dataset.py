@@ -50,9 +50,7 @@ def episodes_of(series: Series, rate_Hz: int) -> Iterator[Episode]:
     if series.arm is None:
         raise ArmError(f"{series.name}: its arm is unknown: give it with --arm")
     if len(series) > 1 and rate_Hz * series.period_s > 1.0 + 1e-6:
-        raise ArmError(
-            f"{series.name}: --fps: expected at most the recorded {1.0 / series.period_s:.6g} Hz, got {rate_Hz}"
-        )
+        raise ArmError(f"{series.name}: --fps: expected at most the recorded {1.0 / series.period_s:.6g} Hz, got {rate_Hz}")
     kinematics = ForwardKinematics(series.arm)
     groups = (series.joint_rad, series.joint_set_rad, series.current_A)
     is_whole = np.logical_and.reduce([np.isfinite(group).all(axis=1) for group in groups])
@@ -173,16 +171,23 @@ def features_of(joint_count: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def info_of(
-    features: dict[str, dict[str, Any]], episodes: int, frames: int, rate_Hz: int, arm: str
-) -> dict[str, Any]:
+def info_of(features: dict[str, dict[str, Any]], episodes: int, frames: int, rate_Hz: int, arm: str) -> dict[str, Any]:
     """The content of meta/info.json; there are no videos, and one task."""
     return {
-        "codebase_version": VERSION, "robot_type": arm, "total_episodes": episodes, "total_frames": frames, "total_tasks": 1,
-        "chunks_size": FILES_PER_CHUNK, "data_files_size_in_mb": DATA_FILE_MB, "video_files_size_in_mb": VIDEO_FILE_MB,
-        "fps": rate_Hz, "splits": {"train": f"0:{episodes}"}, "data_path": f"data/{FILE}", "video_path": None,
+        "codebase_version": VERSION,
+        "robot_type": arm,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": 1,
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": DATA_FILE_MB,
+        "video_files_size_in_mb": VIDEO_FILE_MB,
+        "fps": rate_Hz,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": f"data/{FILE}",
+        "video_path": None,
         "features": features,
-    }  # fmt: skip
+    }
 
 
 def _frames(episodes: Sequence[Episode], rate_Hz: int) -> list[Frames]:
@@ -214,26 +219,29 @@ def statistics(frames: Frames) -> Statistics:
     for name, values in frames.items():
         columns = values.reshape(len(values), -1).astype(np.float64)
         found[name] = {
-            "min": columns.min(axis=0).tolist(), "max": columns.max(axis=0).tolist(),
-            "mean": columns.mean(axis=0).tolist(), "std": columns.std(axis=0).tolist(), "count": [len(columns)],
+            "min": columns.min(axis=0).tolist(),
+            "max": columns.max(axis=0).tolist(),
+            "mean": columns.mean(axis=0).tolist(),
+            "std": columns.std(axis=0).tolist(),
+            "count": [len(columns)],
             **{key: np.quantile(columns, share, axis=0).tolist() for key, share in QUANTILES.items()},
-        }  # fmt: skip
+        }
     return found
 
 
 def _about_episode(frames: Frames, task: str, place: dict[str, int]) -> dict[str, Any]:
     begin, length = int(frames["index"][0]), len(frames["index"])
     return {
-        "episode_index": int(frames["episode_index"][0]), "tasks": [task], "length": length,
-        "dataset_from_index": begin, "dataset_to_index": begin + length,
+        "episode_index": int(frames["episode_index"][0]),
+        "tasks": [task],
+        "length": length,
+        "dataset_from_index": begin,
+        "dataset_to_index": begin + length,
         **{f"data/{key}": value for key, value in place.items()},
-        "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
-        **{
-            f"stats/{name}/{key}": values
-            for name, found in statistics(frames).items()
-            for key, values in found.items()
-        },
-    }  # fmt: skip
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+        **{f"stats/{name}/{key}": values for name, found in statistics(frames).items() for key, values in found.items()},
+    }
 
 
 def _columns(arrow: Any, frames: Frames, features: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -254,28 +262,14 @@ def _write_tasks(arrow: Any, task: str, path: Path) -> None:
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": of, "metadata": None}
         for name, (kind, of) in names.items()
     ]
-    index = [
-        {"name": None, "field_name": None, "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
-    ]
-    about = {
-        "index_columns": ["task"],
-        "column_indexes": index,
-        "columns": columns,
-        "pandas_version": "2.0.0",
-    }
-    _table(
-        arrow,
-        {"task_index": arrow.array([0]), "task": arrow.array([task])},
-        path,
-        {"pandas": json.dumps(about)},
-    )
+    index = [{"name": None, "field_name": None, "pandas_type": "unicode", "numpy_type": "object", "metadata": None}]
+    about = {"index_columns": ["task"], "column_indexes": index, "columns": columns, "pandas_version": "2.0.0"}
+    _table(arrow, {"task_index": arrow.array([0]), "task": arrow.array([task])}, path, {"pandas": json.dumps(about)})
 
 
 def _table(arrow: Any, columns: dict[str, Any], path: Path, metadata: dict[str, str] | None = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    importlib.import_module("pyarrow.parquet").write_table(
-        arrow.table(columns).replace_schema_metadata(metadata), path
-    )
+    importlib.import_module("pyarrow.parquet").write_table(arrow.table(columns).replace_schema_metadata(metadata), path)
 
 
 def _arrow() -> Any:

@@ -94,8 +94,7 @@ class Grammar:
             wanted = self._defaults.get(key)
             if key in self._defaults and getattr(given, key, wanted) != wanted:
                 raise LineError(
-                    f"{name}: --{key} {getattr(given, key)}, but all lines use --{key} {wanted or 'of the arm'}: omit"
-                    " it"
+                    f"{name}: --{key} {getattr(given, key)}, but all lines use --{key} {wanted or 'of the arm'}: omit it"
                 )
 
     def _parser(self, name: str) -> argparse.ArgumentParser:
@@ -149,11 +148,7 @@ def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Parse
     return parsed
 
 
-def replay(
-    lines: Iterable[tuple[int, ParsedLine]],
-    connect: Callable[[], ArmClient],
-    say: Callable[[LineOutcome], None],
-) -> int:
+def replay(lines: Iterable[tuple[int, ParsedLine]], connect: Callable[[], ArmClient], say: Callable[[LineOutcome], None]) -> int:
     """Run lines until the first that fails; returns its exit status, or 0.
 
     They share one connection, opened by the first that needs it: a motion started by a line belongs to the script. When
@@ -197,9 +192,7 @@ def _run(number: int, line: ParsedLine, connect: Callable[[], ArmClient]) -> Lin
     stdout, stderr = _Tee(transcript, output), _Tee(transcript, sys.stderr)
     with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
         status = run(runner(line.given.module, line.command), line.given)
-    return LineOutcome(
-        number, line.text, status, transcript.getvalue(), output.getvalue(), time.monotonic() - begun_s
-    )
+    return LineOutcome(number, line.text, status, transcript.getvalue(), output.getvalue(), time.monotonic() - begun_s)
 
 
 class _Tee(io.TextIOBase):

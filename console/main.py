@@ -30,9 +30,7 @@ class _CommandLine(argparse.ArgumentParser):
             alike = [word] if word in words else get_close_matches(word, words, 2)
             near = " or ".join(dict.fromkeys(command for each in alike for command in words[each]))
             meant = f" (did you mean {near}?)" if near else ""
-            raise argparse.ArgumentError(
-                action, f"no command {value!r}{meant}; `armwright --help` lists them"
-            )
+            raise argparse.ArgumentError(action, f"no command {value!r}{meant}; `armwright --help` lists them")
         super()._check_value(action, value)
 
 
@@ -76,9 +74,7 @@ def parser() -> argparse.ArgumentParser:
         epilog="`armwright demo` shows the full workflow on a mock arm. Every command has its own --help.",
     )
     top.add_argument("--version", action="store_true", help="print the version and exit")
-    commands = top.add_subparsers(
-        dest="command", metavar="COMMAND", title="commands", parser_class=_Subcommand
-    )
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=_Subcommand)
     for command in COMMANDS:
         commands.add_parser(command.name, help=command.summary, description=command.description, spec=command)
     return top
@@ -153,13 +149,9 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     except NotWritten as error:
         return fail(str(error), 1)
     except UnicodeEncodeError as error:
-        return fail(
-            f"{error.object!r} cannot be written in {error.encoding}: set a UTF-8 locale (LC_ALL=C.UTF-8)", 2
-        )
+        return fail(f"{error.object!r} cannot be written in {error.encoding}: set a UTF-8 locale (LC_ALL=C.UTF-8)", 2)
     except OSError as error:  # e.g. a folder that cannot be created, a file that cannot be read
-        return fail(
-            f"{error.filename or 'the system'}: {error.strerror or error}", 1 if error.errno in NO_ROOM else 2
-        )
+        return fail(f"{error.filename or 'the system'}: {error.strerror or error}", 1 if error.errno in NO_ROOM else 2)
 
 
 def fail(message: str, status: int) -> int:

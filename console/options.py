@@ -130,10 +130,7 @@ ARM = option(
     " ~/.config/armwright/config.toml, or right)",
     default=USERS_ARM,
 )
-CELL = option(
-    "--cell C",
-    "a cell.toml, or the name of a supplied cell (pair): several arms instead of one (docs/two_arms.md)",
-)
+CELL = option("--cell C", "a cell.toml, or the name of a supplied cell (pair): several arms instead of one (docs/two_arms.md)")
 SOCKET = option("--socket PATH", "the runtime's socket (default: chosen by the arm's name)")
 OUT = option("--out DIR", "folder for the results; created if missing", required=True)
 
@@ -146,13 +143,9 @@ def out_unless(flag: str) -> Option:
 
 JSON = option("--json", "print JSON for another program")
 WIRE_AT = option(
-    "--wire-at NAME=X,Y,Z",
-    "the fixed point of a wire is known: in m, in the base frame; may be repeated",
-    action="append",
+    "--wire-at NAME=X,Y,Z", "the fixed point of a wire is known: in m, in the base frame; may be repeated", action="append"
 )
-FREE_ZERO = option(
-    "--free-zero", "identify the zero of each wire, too: its readings count from an unknown length"
-)
+FREE_ZERO = option("--free-zero", "identify the zero of each wire, too: its readings count from an unknown length")
 BOARDS = option("--boards FILE", "boards.json of `armwright register`: where the board stands in each setup")
 
 
@@ -162,8 +155,7 @@ def points(what: str, *, is_required: bool = False) -> Option:
 
 
 AS_GIVEN = option(
-    "--as-given",
-    "the points mean what they say: do not refuse them for what they look like (another unit, another arm)",
+    "--as-given", "the points mean what they say: do not refuse them for what they look like (another unit, another arm)"
 )
 
 

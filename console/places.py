@@ -41,9 +41,7 @@ def find_place(file: Path, name: str, rest_rad: Sequence[float] | None = None) -
     """One place; `rest` is the arm's own, where the file has none. PlacesError lists the known places."""
     if name == "rest" and rest_rad is not None and not file.exists():
         return NamedPlace(name, tuple(rest_rad), None)
-    places = ({} if rest_rad is None else {"rest": NamedPlace("rest", tuple(rest_rad), None)}) | read_places(
-        file
-    )
+    places = ({} if rest_rad is None else {"rest": NamedPlace("rest", tuple(rest_rad), None)}) | read_places(file)
     if name not in places:
         raise PlacesError(f"{file}: no place {name!r}; expected one of {', '.join(places) or 'none'}")
     return places[name]
@@ -76,9 +74,7 @@ def _place(file: Path, name: str, table: object) -> NamedPlace:
         raise PlacesError(f"{file}, [{name}]: expected q_rad or tip_m, got {got or 'nothing'}")
     ((key, values),) = table.items()
     numbers = values if isinstance(values, list) else []
-    is_good = numbers and all(
-        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers
-    )
+    is_good = numbers and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers)
     if not is_good or (key == "tip_m" and len(numbers) != 3):
         raise PlacesError(f"{file}, [{name}]: expected {key} to be a list of finite numbers, got {values!r}")
     if key == "tip_m":

@@ -33,9 +33,7 @@ def default_arm() -> str:
     if unknown:
         raise ConfigError(f"{file}: unknown key {sorted(unknown)[0]!r}; the only key is `arm`")
     if not isinstance(table["arm"], str) or not table["arm"]:
-        raise ConfigError(
-            f"{file}: arm: expected the path of an arm.toml or the name of an arm, got {table['arm']!r}"
-        )
+        raise ConfigError(f"{file}: arm: expected the path of an arm.toml or the name of an arm, got {table['arm']!r}")
     return _existing(table["arm"], file.parent, f"{file}: arm")
 
 

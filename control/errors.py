@@ -15,9 +15,7 @@ class ArmError(ArmwrightError):
 class ArmFileError(ArmError):
     """An invalid arm.toml; names file, line, key, the expected value and the actual one."""
 
-    def __init__(
-        self, file: str | Path, line: int | None, key: str, expected: str, got: str, hint: str = ""
-    ) -> None:
+    def __init__(self, file: str | Path, line: int | None, key: str, expected: str, got: str, hint: str = "") -> None:
         self.file = str(file)
         self.line = line
         self.key = key

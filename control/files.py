@@ -64,9 +64,7 @@ def read_bytes(path: Path, most_bytes: int = TEXT_MOST_bytes) -> bytes:
         size = os.fstat(file.fileno()).st_size
         if size <= most_bytes and len(content := file.read(most_bytes + 1)) <= most_bytes:
             return content
-    raise NotReadable(
-        errno.EFBIG, f"{1e-6 * size:.0f} MB, expected at most {1e-6 * most_bytes:.0f} MB", str(path)
-    )
+    raise NotReadable(errno.EFBIG, f"{1e-6 * size:.0f} MB, expected at most {1e-6 * most_bytes:.0f} MB", str(path))
 
 
 def read_text(path: Path, encoding: str = "utf-8", most_bytes: int = TEXT_MOST_bytes) -> str:
@@ -96,9 +94,7 @@ def parsed_toml(text: str) -> dict[str, Any]:
     import tomllib
 
     if len(text) > TOML_MOST_characters:
-        raise tomllib.TOMLDecodeError(
-            f"{1e-6 * len(text):.1f} MB, expected at most {1e-6 * TOML_MOST_characters:.0f} MB of TOML"
-        )
+        raise tomllib.TOMLDecodeError(f"{1e-6 * len(text):.1f} MB, expected at most {1e-6 * TOML_MOST_characters:.0f} MB of TOML")
     if LONG_INTEGER.search(text):
         raise tomllib.TOMLDecodeError("a number of more than 255 digits")
     if DEEP_KEY.search(text):
@@ -109,9 +105,7 @@ def parsed_toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError("nested too deeply") from None
 
 
-def read_toml(
-    path: Path, wrong: Callable[[str], Exception], remedy: str = "", may_be_absent: bool = False
-) -> dict[str, Any]:
+def read_toml(path: Path, wrong: Callable[[str], Exception], remedy: str = "", may_be_absent: bool = False) -> dict[str, Any]:
     """The document of a file. `wrong` makes the caller's error of the text that names file and reason, and ends with `remedy`.
 
     may_be_absent: a file that is not there is empty.
@@ -264,9 +258,7 @@ def append_whole(fd: int, path: Path, content: bytes) -> None:
     is not at `path` any more, where nobody would find it again.
     """
     if not _is_at(fd, path):
-        raise NotWritten(
-            errno.ENOENT, "it was removed or replaced while it was in use: put it back", str(path)
-        )
+        raise NotWritten(errno.ENOENT, "it was removed or replaced while it was in use: put it back", str(path))
     begun = os.lseek(fd, 0, os.SEEK_END)
     if begun and os.pread(fd, 1, begun - 1) != b"\n":
         raise NotWritten(errno.EIO, "its last line is incomplete; close and open it again", str(path))
@@ -339,9 +331,7 @@ def require_writable(folder: Path) -> None:
     made = [part for part in (folder, *folder.parents) if not part.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            dir=folder, prefix=".armwright-", suffix=".trial", buffering=0
-        ) as file:
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".armwright-", suffix=".trial", buffering=0) as file:
             _write_all(file.fileno(), bytes(PROBE_bytes))
             os.fsync(file.fileno())
     except OSError as error:

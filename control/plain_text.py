@@ -12,10 +12,39 @@ from typing import Final, TextIO
 
 HANDLER: Final = "armwright"
 IN_ASCII: Final = {
-    "°": "deg", "±": "+-", "µ": "u", "μ": "u", "·": "*", "×": "x", "−": "-", "–": "-", "—": "-", "…": "...", "√": "sqrt ",
-    "²": "^2", "³": "^3", "→": "->", "←": "<-", "↑": "^", "↓": "v", "≤": "<=", "≥": ">=", "≈": "~", "σ": "sigma", "■": "#",
-    "█": "#", "▇": "#", "▆": "=", "▅": "=", "▄": "=", "▃": "-", "▂": "_", "▁": "_", "─": "-", "│": "|",
-}  # fmt: skip
+    "°": "deg",
+    "±": "+-",
+    "µ": "u",
+    "μ": "u",
+    "·": "*",
+    "×": "x",
+    "−": "-",
+    "–": "-",
+    "—": "-",
+    "…": "...",
+    "√": "sqrt ",
+    "²": "^2",
+    "³": "^3",
+    "→": "->",
+    "←": "<-",
+    "↑": "^",
+    "↓": "v",
+    "≤": "<=",
+    "≥": ">=",
+    "≈": "~",
+    "σ": "sigma",
+    "■": "#",
+    "█": "#",
+    "▇": "#",
+    "▆": "=",
+    "▅": "=",
+    "▄": "=",
+    "▃": "-",
+    "▂": "_",
+    "▁": "_",
+    "─": "-",
+    "│": "|",
+}
 ESCAPED_BYTES: Final = range(0xDC80, 0xDD00)  # how Python represents undecodable bytes of file names
 
 
@@ -45,10 +74,7 @@ def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> s
     if left >= len(widths):
         widths[-1:] = [0]  # nothing follows it
     sides = [str.ljust] * left + [str.rjust] * (len(widths) - left)
-    return "\n".join(
-        indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True))
-        for row in cells
-    )
+    return "\n".join(indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True)) for row in cells)
 
 
 def _reconfigure(stream: TextIO | None, errors: str) -> None:

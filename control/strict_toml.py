@@ -50,9 +50,7 @@ def _check_finite(value: object, key: str, fault: Fault) -> None:
 def _readable(message: str, above: str) -> str:
     """Translate msgspec's `Object contains unknown field `x` - at `$.camera`` to the terms of TOML."""
     what, _, at = message.partition(" - at ")
-    what = what.replace("Object contains unknown field", "unknown key").replace(
-        "Object missing required field", "missing key"
-    )
+    what = what.replace("Object contains unknown field", "unknown key").replace("Object missing required field", "missing key")
     what = what.replace("`object | null`", "a table").replace("`object`", "a table")
     place = f"{above}{at.strip('`').removeprefix('$')}".lstrip(".")
     return f"[{place}] {what}" if place else what

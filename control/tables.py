@@ -47,19 +47,10 @@ WHOLE_MOST_bytes: Final = 1 << 33  # 8 GB: an hour of six joints at 1 kHz has on
 _HEAD_bytes: Final = 1 << 12
 _BLOCK_rows: Final = 128  # converted and checked at once; a line may have a megabyte
 _ALIKE_MOST: Final = 4096  # different words of a column that are kept once each
-_UNITS: Final = {
-    "m": "metres",
-    "rad": "radians",
-    "kg": "kilograms",
-    "A": "amperes",
-    "V": "volts",
-    "s": "seconds",
-}
+_UNITS: Final = {"m": "metres", "rad": "radians", "kg": "kilograms", "A": "amperes", "V": "volts", "s": "seconds"}
 _SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars"}
 PACKED_FREE_bytes: Final = 1 << 26
-PACKED_MOST: Final = (
-    100  # times its size that a packed file may hold beyond the first 64 MB: numbers pack 3 to 20 times
-)
+PACKED_MOST: Final = 100  # times its size that a packed file may hold beyond the first 64 MB: numbers pack 3 to 20 times
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +80,7 @@ class TableColumn:
     @property
     def wanted(self) -> str:
         """What a cell is to be, in words."""
-        return self.expected or (
-            "a name" if self.is_name else "a whole number" if self.is_whole else "a finite number"
-        )
+        return self.expected or ("a name" if self.is_name else "a whole number" if self.is_whole else "a finite number")
 
     def hint(self, value: float) -> str:
         """What to write, if the value is in the unit that this one is mistaken for."""
@@ -157,22 +146,14 @@ class TableContent:
     """What a file holds: m rows, by the names of its columns. Numbers are NaN where the file has none."""
 
     def __init__(
-        self,
-        path: Path,
-        form: TableFormat,
-        wrong: Wrong,
-        header: tuple[str, ...],
-        line: int,
-        joints: int | None,
+        self, path: Path, form: TableFormat, wrong: Wrong, header: tuple[str, ...], line: int, joints: int | None
     ) -> None:
         """Check the header, which is on `line`."""
         self.path, self.form, self._wrong, self.names = path, form, wrong, header
         self._header_line = line
         self.lines = array("L")
         self.joint_count = self._counted(joints)
-        declared = {
-            name: column for column in form.columns for name in numbered(column.name, self.joint_count)
-        }
+        declared = {name: column for column in form.columns for name in numbered(column.name, self.joint_count)}
         self.unknown = tuple(name for name in header if name not in declared)
         self._require_columns(declared)
         self._columns = {name: column for name, column in declared.items() if name in header}
@@ -184,9 +165,7 @@ class TableContent:
         self._alike: dict[str, dict[str, str]] = {name: {} for name in self._words}
         self._place = {name: place for place, name in enumerate(header)}
         numeric = [self._columns[name] for name in self._numbers]
-        self._lower, self._upper = (
-            np.array([getattr(column, end) for column in numeric])[:, None] for end in ("lower", "upper")
-        )
+        self._lower, self._upper = (np.array([getattr(column, end) for column in numeric])[:, None] for end in ("lower", "upper"))
         self._may_be_empty, self._is_whole = (
             np.array([getattr(column, what) for column in numeric], dtype=bool)[:, None]
             for what in ("is_empty_allowed", "is_whole")
@@ -213,9 +192,7 @@ class TableContent:
     def numbers(self, *names: str) -> Array:
         """Columns side by side, (m, columns)."""
         absent = np.full(len(self), np.nan)
-        return np.column_stack(
-            [np.frombuffer(self._numbers[name]) if name in self._numbers else absent for name in names]
-        )
+        return np.column_stack([np.frombuffer(self._numbers[name]) if name in self._numbers else absent for name in names])
 
     def number(self, name: str) -> Array:
         """One column (m,)."""
@@ -330,18 +307,14 @@ class TableContent:
         """A row with a cell for each column of the header."""
         n = len(self.names)
         if len(row) != n and not self.form.is_padded:
-            raise self._wrong(
-                f"{self.path}, line {line}: {len(row)} values, line {self._header_line} names {n}"
-            )
+            raise self._wrong(f"{self.path}, line {line}: {len(row)} values, line {self._header_line} names {n}")
         return row if len(row) == n else [*row[:n], *[""] * (n - len(row))]
 
     def add(self, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> None:
         """Check and keep a block of rows; the first wrong line of it is the error's."""
         self.lines.extend(lines)
         if len(self) > self.form.most_rows:
-            raise self._wrong(
-                f"{self.path}: more than {self.form.most_rows} {self.form.row}s: {self.form.too_many}"
-            )
+            raise self._wrong(f"{self.path}: more than {self.form.most_rows} {self.form.row}s: {self.form.too_many}")
         cells = dict(zip(self.names, zip(*rows, strict=True), strict=True))
         for name, kept in self._words.items():
             kept.extend(self._shared(name, cells[name], lines))
@@ -384,9 +357,7 @@ class TableContent:
             alike.update((word, word) for word in words if word not in alike)
         return [alike.get(word, word) for word in words]
 
-    def _require_complete(
-        self, values: Array, lines: Sequence[int], cells: Mapping[str, Sequence[str]]
-    ) -> None:
+    def _require_complete(self, values: Array, lines: Sequence[int], cells: Mapping[str, Sequence[str]]) -> None:
         """In each line, a group is complete or empty, and what belongs beside it is there."""
         index = {name: k for k, name in enumerate(self._numbers)}
         for group in (group for group in self.form.groups if group.columns[0] in index):
@@ -409,9 +380,7 @@ def require_commas(header: Sequence[str], wrong: Wrong, remedy: str = "") -> Non
     """The caller's error for a header line that is not separated by commas."""
     for mark, name in _SEPARATORS.items():
         if sum(cell.count(mark) for cell in header) > len(header):
-            raise wrong(
-                f"the columns are separated by {name}, expected commas (and decimal points in numbers){remedy}"
-            )
+            raise wrong(f"the columns are separated by {name}, expected commas (and decimal points in numbers){remedy}")
 
 
 def documented(form: TableFormat) -> str:
@@ -480,9 +449,7 @@ def opened_rows(path: Path, wrong: Callable[[str], Exception], most_rows: int = 
             if is_recording
             else "save it in UTF-8; `armwright import-points` reads other encodings"
         )
-        raise wrong(
-            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; {remedy}"
-        ) from error
+        raise wrong(f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; {remedy}") from error
     except csv.Error as error:
         raise wrong(f"{path}: not comma-separated text ({error})") from error
     except _TooMuch as error:
@@ -492,9 +459,7 @@ def opened_rows(path: Path, wrong: Callable[[str], Exception], most_rows: int = 
 def _lines(file: "io.BufferedReader | gzip.GzipFile", most_bytes: int, rows: Rows) -> Iterator[str]:
     """Lines with their ends; a lone carriage return ends one, too."""
     head = file.peek(_HEAD_bytes)[:_HEAD_bytes]
-    codecs.getincrementaldecoder("utf-8")().decode(
-        head
-    )  # what is no text is told by its head, before its first line is
+    codecs.getincrementaldecoder("utf-8")().decode(head)  # what is no text is told by its head, before its first line is
     begun = number = 0
     while line := file.readline(LINE_MOST_bytes + 1):
         number += 1

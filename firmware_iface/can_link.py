@@ -39,11 +39,7 @@ class CanInterface:
 
     def missing(self) -> str:
         """What to install for it; "" if nothing is missing as far as this machine can say."""
-        return (
-            f"pip install {self.package}"
-            if self.module and find_spec(self.module.partition(".")[0]) is None
-            else ""
-        )
+        return f"pip install {self.package}" if self.module and find_spec(self.module.partition(".")[0]) is None else ""
 
 
 _ON_LINUX = '; on Linux its kernel driver is better: interface = "socketcan", channel = "can0"'
@@ -55,8 +51,7 @@ INTERFACES = {
         CanInterface("socketcan", "can0", remedy="try: ip link set {channel} up type can bitrate {bitrate} restart-ms 100"),
         CanInterface("slcan", "/dev/serial/by-id/usb-..."),
         CanInterface(
-            "gs_usb", "0", True, "gs_usb", "gs_usb pyusb",
-            remedy="the channel counts the adapters from 0" + _WAITS + _ON_LINUX,
+            "gs_usb", "0", True, "gs_usb", "gs_usb pyusb", remedy="the channel counts the adapters from 0" + _WAITS + _ON_LINUX
         ),
         CanInterface("pcan", "PCAN_USBBUS1", remedy="install PEAK's PCAN-Basic library" + _ON_LINUX),
         CanInterface("kvaser", "0", True, remedy="no driver installed: get Kvaser's CANlib" + _ON_LINUX),
@@ -66,12 +61,13 @@ INTERFACES = {
         CanInterface("seeedstudio", "/dev/ttyUSB0", remedy="the channel is its serial port; bitrate is the bus's"),
         CanInterface("robotell", "/dev/ttyUSB0", remedy="the channel is its serial port"),
         CanInterface(
-            "udp_multicast", "239.74.163.2",
+            "udp_multicast",
+            "239.74.163.2",
             remedy="the channel is a multicast address such as 239.74.163.2, and msgpack must be installed",
         ),
         CanInterface("virtual", "any", remedy="any name is valid for a virtual bus"),
     )
-}  # fmt: skip
+}
 
 
 def channel_of(interface: str, channel: str) -> str | int:
@@ -113,9 +109,7 @@ def open_fd_can(interface: str, channel: str, bitrate: int = 1_000_000, **option
     return _as_host(interface, channel, bitrate, CanFormat.FD, options)
 
 
-def _as_host(
-    interface: str, channel: str, bitrate: int, carried: CanFormat, options: Mapping[str, object]
-) -> FrameLink:
+def _as_host(interface: str, channel: str, bitrate: int, carried: CanFormat, options: Mapping[str, object]) -> FrameLink:
     """The bus, which is ours until it is closed; that of an slcan adapter is its serial port's."""
     claim = None if interface == "slcan" else claim_can(interface, channel, options.get("port", ""))
     link = join_can(interface, channel, bitrate, carried, **options)
@@ -125,11 +119,7 @@ def _as_host(
 
 
 def join_can(
-    interface: str,
-    channel: str,
-    bitrate: int = 1_000_000,
-    carried: CanFormat = CanFormat.STANDARD,
-    **options: object,
+    interface: str, channel: str, bitrate: int = 1_000_000, carried: CanFormat = CanFormat.STANDARD, **options: object
 ) -> FrameLink:
     """As `open_can`, as a device on the bus beside its host: for mocks."""
     name = f"{interface}:{channel}"
@@ -160,9 +150,7 @@ def _open_slcan(name: str, channel: str, bitrate: int, carried: CanFormat, **opt
     if strange := sorted(set(options) - set(OPTIONS)):
         raise PortMissing(f"CAN bus {name}: unknown option {strange[0]}; slcan takes {', '.join(OPTIONS)}")
     if bitrate not in BITRATE_CODES:
-        raise PortMissing(
-            f"CAN bus {name}: bitrate {bitrate}: slcan knows {', '.join(map(str, BITRATE_CODES))}"
-        )
+        raise PortMissing(f"CAN bus {name}: bitrate {bitrate}: slcan knows {', '.join(map(str, BITRATE_CODES))}")
     port = open_serial(channel, int(str(options.get("tty_baudrate", _SLCAN_BAUD))))
     return SlcanLink(port, name, bitrate)
 

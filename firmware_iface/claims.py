@@ -46,8 +46,7 @@ class Claim:
             if problem.errno != errno.EADDRINUSE:
                 raise PortInUse(f"{where}: cannot reserve it for this program: {problem.strerror}") from None
             raise PortInUse(
-                f"{where}: in use by {_holder(address)}: ask that program, or end it (`armwright off --quit` ends a"
-                " runtime)"
+                f"{where}: in use by {_holder(address)}: ask that program, or end it (`armwright off --quit` ends a runtime)"
             ) from None
         weakref.finalize(self, os.close, bound.detach())
 

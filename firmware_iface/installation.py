@@ -63,9 +63,7 @@ def run_command() -> int:
 class _Beside:
     """Finds our top-level packages beside this one, before any other finder."""
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
         """The spec of one of our packages, None for other names. ImportError if its folder is incomplete."""
         if name not in PACKAGES:
             return None

@@ -22,9 +22,7 @@ def end_at_once(name: str = "") -> None:
     """From now on they end this process, with one line on standard error if the program has a `name`."""
 
     def end(number: int, frame: FrameType | None) -> None:
-        with contextlib.suppress(
-            Exception
-        ):  # what was said is not lost, if this is no moment within the saying
+        with contextlib.suppress(Exception):  # what was said is not lost, if this is no moment within the saying
             sys.stdout.flush()
         with contextlib.suppress(OSError):
             os.write(2, f"{name}: interrupted\n".encode() if name else b"")

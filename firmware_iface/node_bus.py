@@ -11,10 +11,7 @@ from firmware_iface.link import FrameLink
 
 _STEP_s = 0.0005
 MANY = 20_000  # messages whose mean interval is the period
-FIRST, GAP = (
-    10,
-    4.0,
-)  # messages after which so many periods without one, or without a look, say nothing of the period
+FIRST, GAP = (10, 4.0)  # messages after which so many periods without one, or without a look, say nothing of the period
 Frame = tuple[int, bytes]
 
 

@@ -37,12 +37,7 @@ def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink
         raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
     try:
         port = serial.serial_for_url(
-            url,
-            baudrate=baud,
-            timeout=0,
-            write_timeout=WRITE_TIMEOUT_ms * 1e-3,
-            exclusive=True,
-            do_not_open=True,
+            url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT_ms * 1e-3, exclusive=True, do_not_open=True
         )
         claim = claim_serial(url, port.port if isinstance(port, serial.Serial) else None)
         port.open()
@@ -79,9 +74,7 @@ def serial_ports(by_id: Path = BY_ID) -> list[PortHere]:
         stable = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())}
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
     return [
-        PortHere(
-            port.device, "" if port.description == "n/a" else port.description, stable.get(port.device, "")
-        )
+        PortHere(port.device, "" if port.description == "n/a" else port.description, stable.get(port.device, ""))
         for port in ports
     ]
 
@@ -102,19 +95,13 @@ def lower_latency(path: str, root: Path = Path("/")) -> None:
 
 def _ports_here() -> str:
     names = sorted(port.device for port in list_ports.comports())
-    return (
-        f"ports here: {', '.join(names)}"
-        if names
-        else "no serial ports found: check that the board is plugged in"
-    )
+    return f"ports here: {', '.join(names)}" if names else "no serial ports found: check that the board is plugged in"
 
 
 class _PosixByteLink:
     """A tty or pty: opened by pyserial, read and written directly (pyserial's layers cost some 20 us a read)."""
 
-    def __init__(
-        self, port: serial.SerialBase, claim: Claim | None, name: str, baud: int, patience: int
-    ) -> None:
+    def __init__(self, port: serial.SerialBase, claim: Claim | None, name: str, baud: int, patience: int) -> None:
         self.name = name
         self.baud = baud
         self._claim = claim
@@ -134,11 +121,7 @@ class _PosixByteLink:
             if self._arrivals is None:
                 self._arrivals = select.epoll()
                 self._arrivals.register(self._fd, select.EPOLLIN | select.EPOLLET)
-            if (
-                not (waiting := self._waiting_bytes())
-                and limit_s > 0.0
-                and select.select([self._arrivals], [], [], limit_s)[0]
-            ):
+            if not (waiting := self._waiting_bytes()) and limit_s > 0.0 and select.select([self._arrivals], [], [], limit_s)[0]:
                 waiting = self._waiting_bytes()
             if waiting:
                 self._arrivals.poll(0)  # this edge is done

@@ -80,9 +80,7 @@ class ServoQuestion:
 class ForceLimit:
     """A limit that a servo keeps: written when it changes, and again until the servo has said that it has it."""
 
-    def __init__(
-        self, line: "ServoLine", written: Callable[[int, Callable[[], None]], ServoQuestion]
-    ) -> None:
+    def __init__(self, line: "ServoLine", written: Callable[[int, Callable[[], None]], ServoQuestion]) -> None:
         """`written`: the instruction that writes a value, and what to call when it is answered."""
         self._line, self._written = line, written
         self._wanted: tuple[int, ServoQuestion] | None = None
@@ -180,12 +178,7 @@ class ServoLine(PolledLine):
     """A line with servos. Their values are asked for together in the rest of each cycle."""
 
     def __init__(
-        self,
-        link: ByteLink,
-        clock: Clock,
-        servos: Sequence[LineServo],
-        goals: Callable[[], bytes],
-        values: Callable[[], bytes],
+        self, link: ByteLink, clock: Clock, servos: Sequence[LineServo], goals: Callable[[], bytes], values: Callable[[], bytes]
     ) -> None:
         """`servos`: may grow. `goals` makes the packet of the goals that are set, `values` the one that asks for values."""
         super().__init__(link, clock, ANSWER_TIMEOUT_s)

@@ -5,15 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Final, Protocol
 
-from firmware_iface.errors import (
-    BoardRefused,
-    BoardReset,
-    BoardSilent,
-    LinkError,
-    MisuseError,
-    Problems,
-    WrongIdentity,
-)
+from firmware_iface.errors import BoardRefused, BoardReset, BoardSilent, LinkError, MisuseError, Problems, WrongIdentity
 from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, StatusPacket
 
 
@@ -73,9 +65,7 @@ class SmartServo(ABC):
         """By which it waits with each answer."""
         self.is_watchdog_expired = False
         self.resets = 0
-        self.known = self.reached = (
-            EVERYWHERE  # counts: of the turn it knows at power-up; that its goals keep to
-        )
+        self.known = self.reached = EVERYWHERE  # counts: of the turn it knows at power-up; that its goals keep to
         self.problems: list[LinkError] = Problems()
         self._line = line
         self._force = ForceLimit(line, self._force_written)
@@ -171,9 +161,7 @@ class SmartServo(ABC):
 
         return self._question(lambda: self.WIRE.write(self.number, address, made()), 0, taken)
 
-    def _question(
-        self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
-    ) -> ServoQuestion:
+    def _question(self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]) -> ServoQuestion:
         wire = self.WIRE
         return ServoQuestion(self.number, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
 
@@ -188,11 +176,7 @@ class SmartServo(ABC):
             return ", ".join(name for bit, name in self.ERRORS.items() if bit & bits)
 
         weak, free = self.weakens_at, self.frees_at
-        does = (
-            ("free at ", named(free), ""),
-            ("weaker at ", named(weak), how_weak),
-            ("holds on at ", named(~(free | weak)), ""),
-        )
+        does = (("free at ", named(free), ""), ("weaker at ", named(weak), how_weak), ("holds on at ", named(~(free | weak)), ""))
         return "; ".join(what + names + how for what, names, how in does if names)
 
     def _note_restart(self) -> None:

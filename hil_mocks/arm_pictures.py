@@ -72,17 +72,13 @@ class PicturedArm:
                 place = place.then(own)
                 continue
             turn = FramePose(rotation_z(next(angles)), np.zeros(3))
-            place = (
-                place.then(turn).then(own) if self.convention == "standard" else place.then(own).then(turn)
-            )
+            place = place.then(turn).then(own) if self.convention == "standard" else place.then(own).then(turn)
         return place
 
     def picture(self, q_rad: Sequence[float], draw: np.random.Generator) -> Grey:
         """The webcam's picture."""
         place = self.target(q_rad)
-        return self.webcam.picture(
-            [PrintedSheet(self.grey, self.width_m, place.rotation, place.position_m)], draw
-        )
+        return self.webcam.picture([PrintedSheet(self.grey, self.width_m, place.rotation, place.position_m)], draw)
 
 
 def looking_at(place_m: Array, at_m: Array) -> FramePose:
@@ -90,9 +86,7 @@ def looking_at(place_m: Array, at_m: Array) -> FramePose:
     ahead = (at_m - place_m) / np.linalg.norm(at_m - place_m)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    return FramePose(
-        np.column_stack((right, np.cross(ahead, right), ahead)), np.asarray(place_m, dtype=float)
-    )
+    return FramePose(np.column_stack((right, np.cross(ahead, right), ahead)), np.asarray(place_m, dtype=float))
 
 
 # Pictures that a cheap camera takes of printed sheets: perspective, lens distortion, rolling shutter, blur, noise.
@@ -135,9 +129,7 @@ class Webcam:
     noise_grey: float = 2.5
     readout_s: float = 0.0
 
-    def picture(
-        self, sheets: Sequence[PrintedSheet], draw: np.random.Generator, motion_s: float = 0.0
-    ) -> Grey:
+    def picture(self, sheets: Sequence[PrintedSheet], draw: np.random.Generator, motion_s: float = 0.0) -> Grey:
         """The picture (height_px, width_px). `motion_s`: time of exposure, during which moving sheets smear."""
         seen = np.full((self.height_px, self.width_px), BACKGROUND_grey)
         seen += 15.0 * np.linspace(-1.0, 1.0, self.width_px)  # light from one side
@@ -174,8 +166,7 @@ class Webcam:
         half = 0.5 * sheet.width_m * np.array([1.0, rows / columns])
         edge = np.linspace(-1.0, 1.0, 9)
         rim = np.concatenate(
-            [np.column_stack((edge, 0 * edge + s)) for s in (-1, 1)]
-            + [np.column_stack((0 * edge + s, edge)) for s in (-1, 1)]
+            [np.column_stack((edge, 0 * edge + s)) for s in (-1, 1)] + [np.column_stack((0 * edge + s, edge)) for s in (-1, 1)]
         )
         places = (rim * half) @ sheet.rotation[:, :2].T + sheet.position_m
         if places[:, 2].min() < 0.02 or sheet.rotation[:, 2] @ sheet.position_m < 0.0:
@@ -201,10 +192,7 @@ class Webcam:
 
     def _rays(self, u: Array, v: Array) -> Array:
         """Rays (rows, columns, 3) of pixels: the lens undone by fixed-point iteration."""
-        wanted_a, wanted_b = (
-            (u - self.centre_px[0]) / self.focal_px[0],
-            (v - self.centre_px[1]) / self.focal_px[1],
-        )
+        wanted_a, wanted_b = ((u - self.centre_px[0]) / self.focal_px[0], (v - self.centre_px[1]) / self.focal_px[1])
         a, b = wanted_a, wanted_b
         for _ in range(UNDISTORT_STEPS):
             bent_a, bent_b = self._bent(a, b)
@@ -249,7 +237,6 @@ def _blurred(picture: Array, sd_px: float) -> Array:
         wide = np.pad(picture, padding, mode="edge")
         length = picture.shape[axis]
         picture = sum(
-            (weight * np.take(wide, range(k, k + length), axis=axis) for k, weight in enumerate(weights)),
-            np.zeros_like(picture),
+            (weight * np.take(wide, range(k, k + length), axis=axis) for k, weight in enumerate(weights)), np.zeros_like(picture)
         )
     return picture

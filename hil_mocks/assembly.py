@@ -32,11 +32,7 @@ MOCAP: Mapping[str, type[MocapMock]] = {"vicon": ViconMock, "natnet": NatNetMock
 def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:
     """Effects of the real arm: those of arm.toml, overridden by the scenario's, and its hidden DH deviations."""
     where = f"scenario {scenario.path or scenario.name}"
-    known = (
-        [EffectEntry(e.effect, e.joint or 0, e.parameters) for e in arm.effects]
-        if scenario.plant.arm_effects
-        else []
-    )
+    known = [EffectEntry(e.effect, e.joint or 0, e.parameters) for e in arm.effects] if scenario.plant.arm_effects else []
     for_this_arm = [e for e in scenario.effect if not e.arms or arm.name in e.arms]
     hidden = [EffectEntry(e.effect, e.joint, e.parameters) for e in for_this_arm]
     hidden += _of_every_joint(arm, scenario.every_joint, [*known, *hidden])
@@ -93,9 +89,7 @@ def plant_options(scenario: Scenario) -> PlantOptions:
     )
 
 
-def build_encoder_boards(
-    arm: Arm, scenario: Scenario, wiring: Sequence[JointWiring]
-) -> list[EncoderBoardHardware]:
+def build_encoder_boards(arm: Arm, scenario: Scenario, wiring: Sequence[JointWiring]) -> list[EncoderBoardHardware]:
     """Build one board for each named by a drive, in order."""
     kind = encoder_board_class(scenario)
     boards: list[EncoderBoardHardware] = []
@@ -115,9 +109,7 @@ def build_encoder_boards(
     return boards
 
 
-def build_motor_board(
-    wiring: JointWiring, scenario: Scenario, read_shaft: Callable[[], int]
-) -> MotorBoardHardware:
+def build_motor_board(wiring: JointWiring, scenario: Scenario, read_shaft: Callable[[], int]) -> MotorBoardHardware:
     """Build the board of one joint; `read_shaft` is its encoder input."""
     table = scenario.motor_board
     setup = MotorBoardSetup(
@@ -146,9 +138,7 @@ def build_camera(arm: Arm, scenario: Scenario) -> PictureMock:
     noise_m = table.noise_m
     if noise_m is None:
         noise_m = arm.camera.position_noise_m if arm.camera is not None else _CAMERA_NOISE_M
-    setup = CameraSetup(
-        table.rate_Hz, noise_m, table.latency_s, table.dropout, table.clock_ppm, scenario.seed
-    )
+    setup = CameraSetup(table.rate_Hz, noise_m, table.latency_s, table.dropout, table.clock_ppm, scenario.seed)
     if arm.camera is None or arm.camera.stream is None:
         return CameraMock(setup)
     stream, turn_noise_rad = arm.camera.stream, arm.camera.orientation_noise_rad or _TURN_NOISE_rad
@@ -236,9 +226,7 @@ class PinWires:
 
     def _place(self, name: str) -> tuple[MotorBoardHardware, int]:
         if name not in self._places:
-            raise ScenarioError(
-                f'scenario: [wire]: no pin "{name}"; arm.toml has {", ".join(self._places) or "none"}.'
-            )
+            raise ScenarioError(f'scenario: [wire]: no pin "{name}"; arm.toml has {", ".join(self._places) or "none"}.')
         return self._places[name]
 
     @staticmethod

@@ -11,14 +11,7 @@ from control.model.arm import Arm, Drive
 from firmware_iface.link import CanFormat
 from hil_mocks.devices import cia402_drive, dynamixel, moteus, odrive, roboclaw, vesc
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
-from hil_mocks.devices.dynamixel import (
-    CURRENT_BASED,
-    EXTENDED,
-    POSITION,
-    DynamixelLineMock,
-    DynamixelMock,
-    ServoSetup,
-)
+from hil_mocks.devices.dynamixel import CURRENT_BASED, EXTENDED, POSITION, DynamixelLineMock, DynamixelMock, ServoSetup
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
@@ -110,21 +103,19 @@ def _moteus(number: int, joint: int, drive: Drive, shaft: EncoderShaft) -> Moteu
 
 KINDS = {
     "cia402": CanKind(
-        "drive", CanFormat.STANDARD, _cia402,
+        "drive",
+        CanFormat.STANDARD,
+        _cia402,
         {"over_temperature": cia402_drive.OVER_HEATED, "over_current": cia402_drive.OVER_CURRENT},
     ),
     "moteus": CanKind(
-        "moteus", CanFormat.FD, _moteus,
-        {"over_temperature": moteus.OVER_HEATED, "over_current": moteus.DRIVER_FAULT},
+        "moteus", CanFormat.FD, _moteus, {"over_temperature": moteus.OVER_HEATED, "over_current": moteus.DRIVER_FAULT}
     ),
     "odrive": CanKind(
-        "odrive", CanFormat.STANDARD, _odrive,
-        {"over_temperature": odrive.OVER_HEATED, "over_current": odrive.OVER_CURRENT},
+        "odrive", CanFormat.STANDARD, _odrive, {"over_temperature": odrive.OVER_HEATED, "over_current": odrive.OVER_CURRENT}
     ),
-    "vesc": CanKind(
-        "vesc", CanFormat.EXTENDED, _vesc, {"over_temperature": vesc.OVER_HEATED, "over_current": vesc.OVER_CURRENT}
-    ),
-}  # fmt: skip
+    "vesc": CanKind("vesc", CanFormat.EXTENDED, _vesc, {"over_temperature": vesc.OVER_HEATED, "over_current": vesc.OVER_CURRENT}),
+}
 
 
 # Another program does so, unheard by the host.
@@ -134,9 +125,7 @@ SWITCHED: Mapping[str, bool] = {"switched_off": False, "switched_on": True}
 class CanBoards:
     """The boards of one kind of an arm, by joint (0-based)."""
 
-    def __init__(
-        self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float], kind: str
-    ) -> None:
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float], kind: str) -> None:
         made = KINDS[kind]
         self.carried = made.carried
         self._wiring, self._errors = wiring, made.errors
@@ -146,8 +135,7 @@ class CanBoards:
         on_them = [(j, arm.drives[j], numbers[arm.drives[j].board]) for j in self.joints]
         self.names = [f"{made.prefix}{number}" for _, _, number in on_them]
         self.mocks: list[CanBoardMock] = [
-            made.mock(number, j, drive, _shaft(wiring[j], j, encoder_rad, _repeats(arm, drive)))
-            for j, drive, number in on_them
+            made.mock(number, j, drive, _shaft(wiring[j], j, encoder_rad, _repeats(arm, drive))) for j, drive, number in on_them
         ]
 
     def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
@@ -156,10 +144,7 @@ class CanBoards:
         for j, mock in zip(self.joints, self.mocks, strict=True):
             mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
             if j in self._limits and isinstance(mock, Cia402Mock):
-                active = {
-                    direction: (seen.joint_rad[j] - at_rad) * side >= 0.0
-                    for at_rad, side, direction in self._limits[j]
-                }
+                active = {direction: (seen.joint_rad[j] - at_rad) * side >= 0.0 for at_rad, side, direction in self._limits[j]}
                 mock.at_limits = (active.get(-1.0, False), active.get(1.0, False))
             mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
             outputs.append((j, mock.output, mock.limit_A))
@@ -182,11 +167,7 @@ class CanBoards:
 
 def _own_limits(drive: Drive) -> list[tuple[float, float, float]]:
     """Of each limit switch at the drive's own inputs: where it changes, the side of the joint, and of the drive's encoder."""
-    return [
-        (at_rad, side, side * drive.encoder_direction)
-        for pin, at_rad, side in limit_switches(drive)
-        if pin == OWN_INPUT
-    ]
+    return [(at_rad, side, side * drive.encoder_direction) for pin, at_rad, side in limit_switches(drive) if pin == OWN_INPUT]
 
 
 def _repeats(arm: Arm, drive: Drive) -> float:
@@ -195,9 +176,7 @@ def _repeats(arm: Arm, drive: Drive) -> float:
     return board.absolute_turns or 0.0 if board.absolute and drive.home is not None else 0.0
 
 
-def _shaft(
-    wired: JointWiring, joint: int, encoder_rad: Callable[[int], float], repeats_turns: float = 0.0
-) -> EncoderShaft:
+def _shaft(wired: JointWiring, joint: int, encoder_rad: Callable[[int], float], repeats_turns: float = 0.0) -> EncoderShaft:
     turns_per_rad = wired.encoder_direction * wired.counts_per_rad / wired.counts_per_turn
     zero_turns = wired.zero_count / wired.counts_per_turn
     unseen_turns: list[float] = []  # whole repeats, which the encoder does not know at power-up
@@ -208,9 +187,7 @@ def _shaft(
             unseen_turns.append(repeats_turns * round(turned / repeats_turns) if repeats_turns else 0.0)
         return turned - unseen_turns[0]
 
-    return EncoderShaft(
-        lambda: wired.raw_count(encoder_rad(joint)), turns, lambda: wired.motor_count(encoder_rad(joint))
-    )
+    return EncoderShaft(lambda: wired.raw_count(encoder_rad(joint)), turns, lambda: wired.motor_count(encoder_rad(joint)))
 
 
 class AnsweringLine(Protocol):
@@ -229,9 +206,7 @@ XM430 = (1020, 0.00269)
 def _dynamixel(number: int, drive: Drive, read_turns: Callable[[], float], grips: bool) -> DynamixelMock:
     model, unit_A = DYNAMIXELS.get(drive.servo, XM430)
     gripping = CURRENT_BASED if unit_A else EXTENDED
-    setup = ServoSetup(
-        number, _volts_per_rad_s(drive), model, unit_A, gripping if grips else POSITION, drive.supply_V
-    )
+    setup = ServoSetup(number, _volts_per_rad_s(drive), model, unit_A, gripping if grips else POSITION, drive.supply_V)
     return DynamixelMock(setup, read_turns)
 
 
@@ -262,9 +237,7 @@ SERVO_KINDS = {
 class Servos:
     """The smart servos of one kind of an arm, by joint (0-based), on their lines."""
 
-    def __init__(
-        self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float], kind: str
-    ) -> None:
+    def __init__(self, arm: Arm, wiring: Sequence[JointWiring], encoder_rad: Callable[[int], float], kind: str) -> None:
         made = SERVO_KINDS[kind]
         described = {board.name: board for board in arm.boards if board.kind == kind}
         self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in described]
@@ -273,9 +246,7 @@ class Servos:
         self.names = [f"{made.prefix}{board.address}" for board in boards]
         self.ports = list(dict.fromkeys(board.port for board in boards))
         self.mocks = [
-            made.mock(
-                board.address, arm.drives[j], self._reader(wiring[j], j, encoder_rad), j >= arm.joint_count
-            )
+            made.mock(board.address, arm.drives[j], self._reader(wiring[j], j, encoder_rad), j >= arm.joint_count)
             for j, board in zip(self.joints, boards, strict=True)
         ]
         self.lines = [
@@ -316,10 +287,7 @@ class Servos:
         return lambda: encoder_rad(j) * turns_per_rad + zero_turns
 
 
-LIMIT_PINS = {
-    True: roboclaw.SWITCH_PIN | roboclaw.FORWARD_PIN,
-    False: roboclaw.SWITCH_PIN | roboclaw.REVERSE_PIN,
-}
+LIMIT_PINS = {True: roboclaw.SWITCH_PIN | roboclaw.FORWARD_PIN, False: roboclaw.SWITCH_PIN | roboclaw.REVERSE_PIN}
 
 
 class RoboClaws:
@@ -436,11 +404,7 @@ class Bought:
         on_lines: tuple[RoboClaws | Servos, ...] = (claws, *servos)
         self.lines: list[AnsweringLine] = [line for owner in on_lines for line in owner.lines]
         self.ports = [port for owner in on_lines for port in owner.ports]
-        self.line_names = [
-            owner.names[owner.line_of.index(line)]
-            for owner in on_lines
-            for line in dict.fromkeys(owner.line_of)
-        ]
+        self.line_names = [owner.names[owner.line_of.index(line)] for owner in on_lines for line in dict.fromkeys(owner.line_of)]
 
     def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
         """Advance all boards; what each joint is driven with."""

@@ -45,9 +45,7 @@ class MockCell:
                 " it does not say of which arm: inject it instead"
             )
         # Each arm has its own hidden errors and noise.
-        scenarios = [
-            msgspec.structs.replace(scenario, seed=scenario.seed + index) for index in range(len(cell.arms))
-        ]
+        scenarios = [msgspec.structs.replace(scenario, seed=scenario.seed + index) for index in range(len(cell.arms))]
         arms = [as_built(placed.arm, own) for placed, own in zip(cell.arms, scenarios, strict=True)]
         plants = plants_of(
             [
@@ -161,9 +159,7 @@ class SteppedCell(Closing):
         paths = [wire.path for wire in self.wires.serial]
         self.ports = {
             arm: ArmPorts(urls, boards, self.can_interface, name, self.can_options, camera_port)
-            for (arm, urls, boards), camera_port in zip(
-                self.mock.ports(paths), self.wires.camera_ports, strict=True
-            )
+            for (arm, urls, boards), camera_port in zip(self.mock.ports(paths), self.wires.camera_ports, strict=True)
         }
         self.clock: Clock = SteppedClock(self.mock, self.wires)
 
@@ -187,7 +183,4 @@ def plants_of(placed: Sequence[PlacedPlant]) -> list[Plant]:
     """Plants of several arms in one world; `step_together` advances them."""
     models = build([to_build(one.arm, one.effects, one.options, one.standing) for one in placed])
     state = mujoco.MjData(models[0].model)
-    return [
-        Plant(one.arm, one.effects, one.start_rad, one.options, (at, state))
-        for one, at in zip(placed, models, strict=True)
-    ]
+    return [Plant(one.arm, one.effects, one.start_rad, one.options, (at, state)) for one, at in zip(placed, models, strict=True)]

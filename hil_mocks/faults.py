@@ -47,9 +47,7 @@ OF_BOUGHT = ON_FRAMES | {
     "switched_off",
     "switched_on",
 }
-OF_CAMERA = (ON_FRAMES - {"delay_frames", "replay_frames"}) | {
-    "exchanged_bodies"
-}  # its latency is a separate key
+OF_CAMERA = (ON_FRAMES - {"delay_frames", "replay_frames"}) | {"exchanged_bodies"}  # its latency is a separate key
 BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
 _NEED_VALUE = {
     "delay_frames",
@@ -110,9 +108,7 @@ class FaultPlan:
     def update(self, now_s: float) -> tuple[list[FaultTable], list[FaultTable]]:
         """Faults that have started and ended since the last call."""
         moment_s = now_s + 1e-9
-        active = tuple(
-            f for f in self._faults if f.at_s <= moment_s and (f.until_s is None or moment_s < f.until_s)
-        )
+        active = tuple(f for f in self._faults if f.at_s <= moment_s and (f.until_s is None or moment_s < f.until_s))
         begun = [f for f in active if not any(f is g for g in self.active)]
         ended = [f for f in self.active if not any(f is g for g in active)]
         self.active = active

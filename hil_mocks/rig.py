@@ -144,9 +144,7 @@ class SteppedRig(Closing):
     `through_kernel`: over a pty and python-can's virtual bus.
     """
 
-    def __init__(
-        self, arm: Arm | str | Path, scenario: Scenario | str | Path = "ideal", through_kernel: bool = False
-    ) -> None:
+    def __init__(self, arm: Arm | str | Path, scenario: Scenario | str | Path = "ideal", through_kernel: bool = False) -> None:
         as_built = arm if isinstance(arm, Arm) else load_arm(arm)
         self.scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
         self.robot = MockRobot(as_built, self.scenario)
@@ -159,9 +157,7 @@ class SteppedRig(Closing):
             register()
             serial_wires, self.can_interface = [SerialLine(f"{name}-{k}") for k in lines], CAN_INTERFACE
         self.can_channel = name
-        self.wires = Wires(
-            serial_wires, self.can_interface, name, [self.robot.camera.transport], self.robot.can_formats
-        )
+        self.wires = Wires(serial_wires, self.can_interface, name, [self.robot.camera.transport], self.robot.can_formats)
         self.can_options = self.wires.can_options
         (self.camera_port,) = self.wires.camera_ports
         paths = [wire.path for wire in self.wires.serial]

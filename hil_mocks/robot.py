@@ -63,11 +63,7 @@ def switch_motor_board(board: MotorBoardHardware, fault: FaultTable, is_on: bool
 
 
 def switch_encoder_board(
-    board: EncoderBoardHardware,
-    fault: FaultTable,
-    is_on: bool,
-    now_s: float,
-    counts: Callable[[], Sequence[int]],
+    board: EncoderBoardHardware, fault: FaultTable, is_on: bool, now_s: float, counts: Callable[[], Sequence[int]]
 ) -> None:
     """Begin or end a fault of an encoder board; `counts`: of its shafts now, from which it starts after a reset."""
     sets = {"stuck_encoder": board.stuck, "lost_wire": board.lost, "backwards_encoder": board.backwards}
@@ -119,16 +115,13 @@ class MockRobot:
         self.bought = Bought(driven, self._wiring, self._shaft_rad)
         self._has_bought = bool(self.bought.names)
         self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
-        self.motor_boards = [
-            build_motor_board(self._wiring[j], scenario, self._motor_counter(j)) for j in self._motor_joints
-        ]
+        self.motor_boards = [build_motor_board(self._wiring[j], scenario, self._motor_counter(j)) for j in self._motor_joints]
         if arm.gripper is not None and self.gripper is not None and not arm.gripper.board:
             self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
             self._motor_joints.append(self.plant.joints)  # its motor comes after those of the joints
         self.pins = PinWires(arm, scenario, self.motor_boards)
         self._channels = [
-            Channels(i, self._wiring, len(board.setup.counts_per_turn))
-            for i, board in enumerate(self.encoder_boards)
+            Channels(i, self._wiring, len(board.setup.counts_per_turn)) for i, board in enumerate(self.encoder_boards)
         ]
         self.camera = build_camera(arm, scenario)
         self._name_boards(scenario)

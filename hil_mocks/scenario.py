@@ -95,9 +95,7 @@ class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     thermal_time_s: Positive = 60.0
     bridge_ohm: NotNegative = 0.02  # heats the power stage
     rated_degC: float = 90.0
-    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8)] = (
-        8  # spare pins of each board; 0: an older firmware
-    )
+    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8)] = 8  # spare pins of each board; 0: an older firmware
 
 
 class GripperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -117,11 +115,7 @@ class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     latency_s: NotNegative = 0.008
     dropout: Share = 0.0  # share of frames without the tip
     clock_ppm: float = 0.0
-    place_m: tuple[float, float, float] = (
-        1.4,
-        -0.9,
-        0.2,
-    )  # of a motion capture system's frame, in the base frame
+    place_m: tuple[float, float, float] = (1.4, -0.9, 0.2)  # of a motion capture system's frame, in the base frame
     turn_rad: tuple[float, float, float] = (0.1, -0.2, 2.0)
 
 
@@ -143,9 +137,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str = "ideal"
     seed: int = 0
     tick_s: Positive = 1e-3  # of the boards
-    firmware: Literal["python", "c"] | None = (
-        None  # of the reference boards; absent: $ARMWRIGHT_MOCK_FIRMWARE, else python
-    )
+    firmware: Literal["python", "c"] | None = None  # of the reference boards; absent: $ARMWRIGHT_MOCK_FIRMWARE, else python
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
     every_joint: EveryJoint = EveryJoint()
@@ -164,15 +156,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """The true DH deviations by name, `link1_d_m` ...; drawn ones, overridden by given ones."""
         table = self.true_dh
         source = random.Random(f"dh {self.seed if table.seed is None else table.seed}")
-        sizes = {
-            "d_m": table.d_m,
-            "theta_rad": table.theta_rad,
-            "L_m": table.L_m,
-            "alpha_rad": table.alpha_rad,
-        }
-        drawn = {
-            f"link{i + 1}_{key}": source.uniform(-s, s) for i in range(links) for key, s in sizes.items()
-        }
+        sizes = {"d_m": table.d_m, "theta_rad": table.theta_rad, "L_m": table.L_m, "alpha_rad": table.alpha_rad}
+        drawn = {f"link{i + 1}_{key}": source.uniform(-s, s) for i in range(links) for key, s in sizes.items()}
         return {**{name: value for name, value in drawn.items() if value != 0.0}, **table.deviations}
 
 

@@ -69,9 +69,7 @@ class MockServer:
         self._cell = cell
         self._mock = MockCell(cell, load_scenario(scenario))
         lines = [Pty() for _ in range(self._mock.serial_lines)]
-        self._wires = Wires(
-            lines, "udp_multicast", can_channel, self._mock.transports, self._mock.can_formats
-        )
+        self._wires = Wires(lines, "udp_multicast", can_channel, self._mock.transports, self._mock.can_formats)
         self._channel, self._path = can_channel, socket_path
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(socket_path))
@@ -248,19 +246,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m hil_mocks.serve", description=__doc__)
     parser.add_argument("--arm", default="right", help="arm.toml or the name of a shipped arm")
     parser.add_argument("--scenario", default="ideal", help="scenario file or the name of a shipped one")
-    parser.add_argument(
-        "--can-channel", default="", help="multicast group of the CAN bus; default: a new one"
-    )
-    parser.add_argument(
-        "--cell", default="", help="cell.toml or the name of a shipped cell, instead of --arm"
-    )
+    parser.add_argument("--can-channel", default="", help="multicast group of the CAN bus; default: a new one")
+    parser.add_argument("--cell", default="", help="cell.toml or the name of a shipped cell, instead of --arm")
     chosen = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="armwright-mock-") as folder:
         try:
             cell = load_cell(chosen.cell) if chosen.cell else cell_of_one(load_arm(chosen.arm))
-            server = MockServer(
-                cell, chosen.scenario, chosen.can_channel or own_group(), Path(folder) / "mock.sock"
-            )
+            server = MockServer(cell, chosen.scenario, chosen.can_channel or own_group(), Path(folder) / "mock.sock")
         except (ArmError, MockError) as error:
             print(error, file=sys.stderr)
             return 2

@@ -182,9 +182,7 @@ class Wires:
         self.can_options: dict[str, Any] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can_interface, self._can_channel = can_interface, can_channel
         self._buses = {
-            carried: cast(
-                CanFrameLink, join_can(can_interface, can_channel, carried=carried, **self.can_options)
-            )
+            carried: cast(CanFrameLink, join_can(can_interface, can_channel, carried=carried, **self.can_options))
             for carried in (CanFormat.STANDARD, *can_formats)
         }
         self._arrived: deque[Arrived] = deque()
@@ -417,11 +415,7 @@ class OneClientServer:
         self._listener.close()
 
 
-_WIRES: Mapping[Transport, type[CameraWire]] = {
-    "datagrams": Datagrams,
-    "commands": Commands,
-    "connection": OneClientServer,
-}
+_WIRES: Mapping[Transport, type[CameraWire]] = {"datagrams": Datagrams, "commands": Commands, "connection": OneClientServer}
 
 
 def camera_wire(transport: Transport) -> CameraWire:

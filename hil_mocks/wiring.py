@@ -99,9 +99,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
     home = drive.home
     is_on_motor = drive.encoder_on == "motor"
     of_motor = drive.gear_ratio * (drive.motor_counts_per_rev or 0) / (2.0 * math.pi)
-    counts_per_rad = (
-        (drive.gear_ratio if is_on_motor else 1.0) * drive.encoder_ratio * counts / (2.0 * math.pi)
-    )
+    counts_per_rad = (drive.gear_ratio if is_on_motor else 1.0) * drive.encoder_ratio * counts / (2.0 * math.pi)
     return JointWiring(
         encoder_board=drive.encoder_board,
         encoder_channel=drive.encoder_channel,
@@ -138,14 +136,7 @@ class Channels:
         self._count = channels
         # (joint, channel, counts a radian with sign, phase, switch, sign of its active side; a missing switch is nan)
         self._inputs = [
-            (
-                j,
-                w.encoder_channel,
-                w.encoder_direction * w.counts_per_rad,
-                w.phase_count,
-                w.switch_rad,
-                w.switch_side,
-            )
+            (j, w.encoder_channel, w.encoder_direction * w.counts_per_rad, w.phase_count, w.switch_rad, w.switch_side)
             for j, w in enumerate(wiring)
             if w.encoder_board == board
         ]

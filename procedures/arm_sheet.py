@@ -189,9 +189,7 @@ def _payload(arm: Arm, q: Array, empty: Array, laden: Array | None) -> Payload |
     held = np.maximum(most.min(axis=1), 0.0)
     accelerations = np.nan_to_num([drive.joint_acceleration_limit_rad_s2 for drive in arm.drives], posinf=0.0)
     light, heavy = (np.abs(Dynamics(arm, kg).mass_matrices(q)) @ accelerations for kg in (0.0, 1.0))
-    needed_per_kg = np.maximum(
-        np.abs(per_kg) + heavy - light, 0.0
-    )  # 0: the mass takes from the coupling of joints
+    needed_per_kg = np.maximum(np.abs(per_kg) + heavy - light, 0.0)  # 0: the mass takes from the coupling of joints
     with np.errstate(divide="ignore"):
         moved = (limits - np.abs(empty) - light) / needed_per_kg
     least = moved.min(axis=0)
@@ -228,9 +226,7 @@ def _found(arm: Arm) -> Iterator[Missing]:
     has = {drive.joint for drive in arm.drives}
     bare = [joint for joint in range(1, arm.joint_count + 1) if joint not in has]
     if bare:
-        yield Missing(
-            f"[[drive]] of {_joints(bare)}", "serve, mock, bringup and every motion; torque margins"
-        )
+        yield Missing(f"[[drive]] of {_joints(bare)}", "serve, mock, bringup and every motion; torque margins")
     counts = not arm.drives or any(drive.encoder_board >= 0 for drive in arm.drives)
     talks = not arm.drives or any(arm.kind_of(drive).line == "can" for drive in arm.drives)
     absent = ["[[encoder_board]]"] if counts and not arm.encoder_boards else []
@@ -239,9 +235,7 @@ def _found(arm: Arm) -> Iterator[Missing]:
         yield Missing(" and ".join(absent), "serve (or give the ports as options)")
     yield from _masses(arm)
     yield from _limits(arm)
-    homeless = [
-        drive.joint for drive in arm.drives if drive.home is None and not arm.has_absolute_encoder(drive)
-    ]
+    homeless = [drive.joint for drive in arm.drives if drive.home is None and not arm.has_absolute_encoder(drive)]
     if homeless:
         yield Missing(f"[drive.home] of {_joints(homeless)}", "home (else set the zero on the encoder board)")
     guessed = [drive.joint for drive in arm.drives if _is_turn_guessed(arm, drive)]
@@ -253,8 +247,7 @@ def _found(arm: Arm) -> Iterator[Missing]:
     yield from _electrical(arm)
     if arm.table is None:
         yield Missing(
-            "[table]",
-            "session without --camera --free, calibrate without measured tips, verify without --points, demo",
+            "[table]", "session without --camera --free, calibrate without measured tips, verify without --points, demo"
         )
     if arm.camera is None:
         yield Missing("[camera]", "the noise of verify, iso9283 and gap (else it is estimated or assumed)")
@@ -345,10 +338,7 @@ def warnings(found: ArmSheet) -> Iterator[str]:
         elif joint.share > LITTLE:
             yield f"joint {joint.joint} has little torque left: gravity takes {100 * joint.share:.0f} %"
         elif joint.moving_Nm > joint.torque_Nm:
-            yield (
-                f"joint {joint.joint} cannot accelerate as its limit says: {joint.moving_Nm:.3g} of"
-                f" {joint.torque_Nm:.3g} N m"
-            )
+            yield (f"joint {joint.joint} cannot accelerate as its limit says: {joint.moving_Nm:.3g} of {joint.torque_Nm:.3g} N m")
         if math.isfinite(joint.speed_rad_s) and joint.speed_rad_s > joint.free_speed_rad_s:
             yield f"joint {joint.joint} is slower than its speed limit, even without load"
     if found.buses is not None:
@@ -378,11 +368,5 @@ def _number(value: float, digits: int) -> str:
 
 
 def _buses_in_words(arm: Arm, buses: Buses) -> str:
-    lines = ", ".join(
-        f"{board.name} {100 * load:.0f} %"
-        for board, load in zip(arm.encoder_boards, buses.serial, strict=True)
-    )
-    return (
-        f"at {buses.rate_Hz:.0f} Hz: CAN {100 * buses.can:.0f} % (good up to {buses.can_rate_Hz:.0f} Hz);"
-        f" serial {lines}"
-    )
+    lines = ", ".join(f"{board.name} {100 * load:.0f} %" for board, load in zip(arm.encoder_boards, buses.serial, strict=True))
+    return f"at {buses.rate_Hz:.0f} Hz: CAN {100 * buses.can:.0f} % (good up to {buses.can_rate_Hz:.0f} Hz); serial {lines}"

@@ -29,9 +29,7 @@ def require_writable(folder: Path, option: str = "--out") -> None:
         files.require_writable(folder)
     except files.NotWritten as error:
         remedy = "free some space, or choose" if error.errno in files.NO_ROOM else "choose"
-        raise ArmError(
-            f"{option} {folder}: cannot write there ({error.strerror}): {remedy} another place"
-        ) from error
+        raise ArmError(f"{option} {folder}: cannot write there ({error.strerror}): {remedy} another place") from error
 
 
 def require_empty(folder: Path) -> None:

@@ -51,9 +51,7 @@ def mirror_signs(leader: Placed, follower: Placed) -> tuple[float, ...]:
     one, other = np.array(leader.origin_m), np.array(follower.origin_m)
     length_m = float(np.linalg.norm(other - one))
     if length_m < MIRRORED_WITHIN_m:
-        raise ArmError(
-            f"follow: arms {leader.name!r} and {follower.name!r} stand at one place: there is no plane between them"
-        )
+        raise ArmError(f"follow: arms {leader.name!r} and {follower.name!r} stand at one place: there is no plane between them")
     normal, middle = (other - one) / length_m, 0.5 * (one + other)
     poses = _poses(leader)
     wanted = []
@@ -63,9 +61,7 @@ def mirror_signs(leader: Placed, follower: Placed) -> tuple[float, ...]:
     found = ForwardKinematics(follower.arm)
 
     def off_m(signs: Sequence[float]) -> float:
-        tips = (
-            follower.in_cell(found.tip(*(s * q for s, q in zip(signs, pose, strict=True)))) for pose in poses
-        )
+        tips = (follower.in_cell(found.tip(*(s * q for s, q in zip(signs, pose, strict=True)))) for pose in poses)
         return max(math.dist(tip, want) for tip, want in zip(tips, wanted, strict=True))
 
     best = min(itertools.product((1.0, -1.0), repeat=follower.arm.joint_count), key=off_m)
@@ -95,9 +91,7 @@ def _poses(placed: Placed) -> list[tuple[float, ...]]:
 class Following:
     """A follower on its leader's heels. `signs`: of the follower's joint angles over the leader's."""
 
-    def __init__(
-        self, leader: ArmClient, follower: ArmClient, placed: Placed, signs: Sequence[float]
-    ) -> None:
+    def __init__(self, leader: ArmClient, follower: ArmClient, placed: Placed, signs: Sequence[float]) -> None:
         """`placed`: the follower."""
         self._leader, self._follower, self._signs = leader, follower, tuple(signs)
         self._range_rad = placed.arm.limits_rad
@@ -107,9 +101,7 @@ class Following:
     def approach(self) -> None:
         """Move the follower to where the leader's pose puts it, by a planned motion. RequestRefused, MotionStopped."""
         target = self._target_rad(self._read(self._leader))
-        away_rad = max(
-            abs(a - b) for a, b in zip(target, self._read(self._follower)["joint_set_rad"], strict=True)
-        )
+        away_rad = max(abs(a - b) for a, b in zip(target, self._read(self._follower)["joint_set_rad"], strict=True))
         if away_rad > NEAR_rad:
             self._follower.move_joints(target, APPROACH_SPEED)
 
@@ -139,9 +131,7 @@ class Following:
             raise ArmFaulted(fault_text(status))
         if status["mode"] in LOST or not status["is_homed"]:
             homed = "homed" if status["is_homed"] else "not homed"
-            raise ArmError(
-                f"follow: arm {status['arm']!r} is {status['mode']} and {homed}: enable and home both arms first"
-            )
+            raise ArmError(f"follow: arm {status['arm']!r} is {status['mode']} and {homed}: enable and home both arms first")
         return status
 
     def _target_rad(self, leader: Message) -> tuple[float, ...]:
@@ -194,23 +184,15 @@ def guided_motion(file: Path, arm: Arm, run: int | None = None) -> Guided:
     names = recording.layout.names
     count = recording.layout.joint_count
     if count != arm.joint_count:
-        raise ArmError(
-            f"{file}: expected a recording of {arm.joint_count} joints, as arm {arm.name!r} has, got {count}"
-        )
+        raise ArmError(f"{file}: expected a recording of {arm.joint_count} joints, as arm {arm.name!r} has, got {count}")
     angle = "joint{}_rad" if "joint1_rad" in names else "q{}_rad"
-    wanted = [
-        names.index(name) for name in ("t_s", "run", "mode", *(angle.format(j + 1) for j in range(count)))
-    ]
+    wanted = [names.index(name) for name in ("t_s", "run", "mode", *(angle.format(j + 1) for j in range(count)))]
     guiding = recording.modes.index("GUIDING")
     rows = [[row[k] for k in wanted] for row in recording.rows() if row[wanted[2]] == guiding]
     table = np.array(rows, dtype=np.float64).reshape(-1, len(wanted))
     runs = sorted({int(number) for number in table[:, 1]})
     if not runs or (run is not None and run not in runs):
-        have = (
-            f"it has hand-guided runs {', '.join(map(str, runs))}"
-            if runs
-            else "nothing in it was guided by hand"
-        )
+        have = f"it has hand-guided runs {', '.join(map(str, runs))}" if runs else "nothing in it was guided by hand"
         raise ArmError(f"{file}: no hand-guided run{'' if run is None else f' {run}'}: {have}")
     chosen = runs[-1] if run is None else run
     part = table[table[:, 1] == chosen]
@@ -240,9 +222,7 @@ def _moving_part(guided: Guided) -> Array:
     is_begun = np.abs(q - q[0]).max(axis=1) > STILL_rad
     is_going_on = np.abs(q - q[-1]).max(axis=1) > STILL_rad
     if not is_begun.any() or t[-1] < SHORTEST_S:
-        raise ArmError(
-            f"replay: run {guided.run}: the arm was hardly moved by hand: guide it, then replay that run"
-        )
+        raise ArmError(f"replay: run {guided.run}: the arm was hardly moved by hand: guide it, then replay that run")
     first, last = int(np.argmax(is_begun)), len(q) - int(np.argmax(is_going_on[::-1]))
     first, last = max(first - 1, 0), min(max(last, first + 2), len(q))
     even = np.arange(t[first], t[last - 1], STEP_S)

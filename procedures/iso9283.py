@@ -149,18 +149,14 @@ class _Log:
 
     def __init__(self, joint_count: int, file: KeptLines) -> None:
         names = log_header(joint_count)
-        rows = [
-            dict(zip(names, line.decode(errors="replace").split(","), strict=False)) for line in file.lines
-        ]
+        rows = [dict(zip(names, line.decode(errors="replace").split(","), strict=False)) for line in file.lines]
         self._joint_count, self._file = joint_count, file
         self._ran = {(r["programme"], r["speed_m_s"], r["cycle"]) for r in rows}
         self._number = max((int(r["run"]) for r in rows), default=0)
 
     def has(self, run: Step) -> bool:
         """Whether a run is in the file."""
-        return (
-            isinstance(run, PathRun) and (run.programme, cell(run.speed_m_s, 6), str(run.cycle)) in self._ran
-        )
+        return isinstance(run, PathRun) and (run.programme, cell(run.speed_m_s, 6), str(run.cycle)) in self._ran
 
     def keep(self, run: Step, rows: Rows) -> None:
         """Write the rows of a run."""
@@ -262,9 +258,7 @@ def evaluate_files(
     groups, point_notes, warnings = _poses(files.points, arm, files.is_as_given)
     for log in files.logs:
         if log.suffix == ".armlog":
-            raise Iso9283Error(
-                f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
-            )
+            raise Iso9283Error(f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one")
     runs: list[RecordedRun] = [run for log in files.logs for run in read_runs(log, arm, files.is_as_given)]
     visited = {str(other): _poses(other, arm, files.is_as_given)[0] for other in files.others}
     corners = read_rectangle(files.programme) if files.programme is not None else None
@@ -275,9 +269,7 @@ def evaluate_files(
     return found, warnings
 
 
-def _poses(
-    path: Path, arm: Arm, is_as_given: bool
-) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
+def _poses(path: Path, arm: Arm, is_as_given: bool) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
     if path.suffix == ".armlog":
         raise Iso9283Error(f"{path}: a recording, expected points.csv")
     points, warnings = read_points(path, also=BESIDE)

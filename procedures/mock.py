@@ -59,8 +59,7 @@ def on_wires(arm: Arm, rig: MockPorts) -> Arm:
     return replace(
         arm,
         encoder_boards=tuple(
-            replace(own[i], port=url) if i in own else EncoderBoardPort(f"enc{i}", url)
-            for i, url in enumerate(rig.encoder_urls)
+            replace(own[i], port=url) if i in own else EncoderBoardPort(f"enc{i}", url) for i, url in enumerate(rig.encoder_urls)
         ),
         boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
         can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
@@ -121,9 +120,7 @@ class SteppedBench:
 
     speed = 1.0
 
-    def __init__(
-        self, arm: Arm, scenario: Scenario | Path, log_folder: Path, through_kernel: bool = False
-    ) -> None:
+    def __init__(self, arm: Arm, scenario: Scenario | Path, log_folder: Path, through_kernel: bool = False) -> None:
         self.rig: SimulatedArm = SteppedRig(arm, scenario, through_kernel)
         self._log_folder = log_folder
         self._period_s = 1.0 / arm.usual_rate_Hz
@@ -135,9 +132,7 @@ class SteppedBench:
 
     def start(self, arm: Arm) -> ArmClient:
         """Connect and make a runtime in this process."""
-        self._connection = connect(
-            wired_to(arm, self.rig), self.rig.clock, self._period_s, self.rig.camera_port
-        )
+        self._connection = connect(wired_to(arm, self.rig), self.rig.clock, self._period_s, self.rig.camera_port)
         self._log_folder.mkdir(parents=True, exist_ok=True)
         path = self._log_folder / f"run-{len(self._recordings) + 1}.armlog"
         header = layout_of(arm).header(
@@ -237,9 +232,7 @@ class RealTimeBench:
             with contextlib.suppress(RuntimeGone):
                 return SocketChannel(self.socket_path)
             if self._runtime is not None and self._runtime.poll() is not None:
-                raise ArmError(
-                    f"the runtime ended at once with status {self._runtime.returncode}; its message is above"
-                )
+                raise ArmError(f"the runtime ended at once with status {self._runtime.returncode}; its message is above")
             if time.monotonic() > deadline_s:
                 raise ArmError(f"the runtime did not open its socket within {START_LIMIT_S:g} s")
             time.sleep(0.05)
@@ -299,9 +292,7 @@ class CellBench:
         for number, name in enumerate(cell.names, 1):
             loop = self.channels[0].loop if self.channels else None
             self.channels.append(InProcessChannel(assembly, self.rig.clock, loop, number, name))
-        self.clients = {
-            name: ArmClient(channel) for name, channel in zip(cell.names, self.channels, strict=True)
-        }
+        self.clients = {name: ArmClient(channel) for name, channel in zip(cell.names, self.channels, strict=True)}
         self.wait(0.05)
         return self.clients
 
@@ -394,9 +385,7 @@ def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
     if seed is not None:
         scenario = msgspec.structs.replace(scenario, seed=seed)
     if was_homed:
-        scenario = msgspec.structs.replace(
-            scenario, start=msgspec.structs.replace(scenario.start, homed=True)
-        )
+        scenario = msgspec.structs.replace(scenario, start=msgspec.structs.replace(scenario.start, homed=True))
     return scenario_bytes(scenario)
 
 
@@ -433,9 +422,7 @@ def saved_mock(
     out.mkdir(parents=True, exist_ok=True)
     file = out / "scenario.toml"
     if file.exists() and file.read_bytes() != drawn:
-        raise CalibrationError(
-            f"{file}: contains the records of another mock arm: choose another folder with --out"
-        )
+        raise CalibrationError(f"{file}: contains the records of another mock arm: choose another folder with --out")
     write_whole(file, drawn)
     log = free_folder(out / "log")
     bench = SteppedBench(arm, file, log)

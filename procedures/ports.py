@@ -26,9 +26,7 @@ CREEP = 0.1  # of the speed of other moves
 class RuntimePort:
     """`ArmPort` and `Camera` over the runtime's client."""
 
-    def __init__(
-        self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False, in_own_frame: bool = False
-    ) -> None:
+    def __init__(self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False, in_own_frame: bool = False) -> None:
         """`as_encoders`: moves are to encoder angles, without the runtime's gear corrections (docs/corrections.md).
 
         in_own_frame: tips may be in a camera's frame of unknown place.
@@ -65,15 +63,7 @@ class RuntimePort:
         """Mean of encoders and currents, and the drives' temperature now."""
         mean = self._client.average(duration_s)
         warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
-        return RestSample(
-            mean.q_rad,
-            mean.q_std_rad,
-            mean.current_A,
-            mean.direction,
-            warmth,
-            self._seen(mean),
-            mean.count_rad,
-        )
+        return RestSample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth, self._seen(mean), mean.count_rad)
 
     def measure(self, duration_s: float) -> SeenTip:
         """Mean of the camera's tips. ArmError, with the camera's reason, if there are none."""
@@ -137,8 +127,7 @@ class HandPort:
                 return
             self._wait(0.1)
         raise ArmError(
-            f"the mock hand did not seat the tip at {point_m}: {self._hand.state},"
-            f" {1e3 * self._hand.residual_m():.2f} mm away"
+            f"the mock hand did not seat the tip at {point_m}: {self._hand.state}, {1e3 * self._hand.residual_m():.2f} mm away"
         )
 
     def let_go(self) -> None:

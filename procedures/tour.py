@@ -123,9 +123,7 @@ class _Conductor(Generic[R]):
         self._port = RuntimePort(bench.client, bench.speed, how.as_encoders)
         self._rows = RunRows(bench.recording) if runs is not None and bench.recording is not None else None
         self._load_kg, self._began_s = 0.0, math.nan
-        self._stands_out: tuple[Angles, object] | None = (
-            None  # the way back, and the pose where the arm stands
-        )
+        self._stands_out: tuple[Angles, object] | None = None  # the way back, and the pose where the arm stands
 
     def has(self, stop: Stop[R]) -> bool:
         """A record follows the rows of the motion to its pose, so it stands for both."""
@@ -225,13 +223,9 @@ class _Conductor(Generic[R]):
     def _rows_of_run(self) -> Rows:
         client = self._bench.client
         client.wait(FLUSH_s)
-        rows = (
-            self._rows.of_run(int(client.status()["run"])) if self._rows is not None else np.empty(0, np.void)
-        )
+        rows = self._rows.of_run(int(client.status()["run"])) if self._rows is not None else np.empty(0, np.void)
         if not len(rows):
-            raise ArmError(
-                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
-            )
+            raise ArmError(f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk")
         return rows
 
 

@@ -30,19 +30,24 @@ from procedures.mock import on_wires as wired_to
 PERIOD_S = 0.002
 RIGHT = load_arm("right")
 GRIPPER = Gripper(
-    motor_node=4, travel_m=0.08, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
-    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
-)  # fmt: skip
+    motor_node=4,
+    travel_m=0.08,
+    travel_per_turn_m=0.004,
+    torque_constant_Nm_A=0.02,
+    resistance_ohm=2.0,
+    supply_V=24.0,
+    current_limit_A=2.0,
+    speed_limit_m_s=0.16,
+    encoder_counts_per_rev=2048,
+    rotor_inertia_kg_m2=4e-7,
+)
 STRETCHED = (0.1, -0.6, 0.2)  # gravity pulls joint 2 with 6 Nm here
 FRICTION = tuple(
-    EffectTable("coulomb_friction", joint, {"torque_Nm": torque})
-    for joint, torque in ((1, 1.0), (2, 1.2), (3, 0.7))
+    EffectTable("coulomb_friction", joint, {"torque_Nm": torque}) for joint, torque in ((1, 1.0), (2, 1.2), (3, 0.7))
 )
 
 
-def scenario(
-    q_rad: Sequence[float] | None = STRETCHED, homed: bool = True, base: str = "ideal", **changed: Any
-) -> Scenario:
+def scenario(q_rad: Sequence[float] | None = STRETCHED, homed: bool = True, base: str = "ideal", **changed: Any) -> Scenario:
     """A shipped scenario that starts at `q_rad`, its zero known unless told otherwise; one physics step a tick."""
     shipped = load_scenario(base)
     coarse = msgspec.structs.replace(shipped.plant, timestep_s=1e-3)

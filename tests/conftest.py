@@ -15,10 +15,7 @@ if TYPE_CHECKING:
     from tests.cell import Cell
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported, as console.main has it
-REAL_BUSES = (
-    "ARMWRIGHT_CAN",
-    "ARMWRIGHT_CAN_FD",
-)  # not settings of the product: they name hardware to test with
+REAL_BUSES = ("ARMWRIGHT_CAN", "ARMWRIGHT_CAN_FD")  # not settings of the product: they name hardware to test with
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -52,9 +49,7 @@ def _settle_hypothesis(at_night: bool) -> None:
     """It tries the same examples at each change and new ones at night. Time decides nothing: the machine may be busy."""
     from hypothesis import settings
 
-    settings.register_profile(
-        "armwright", deadline=None, derandomize=not at_night, database=None, print_blob=True
-    )
+    settings.register_profile("armwright", deadline=None, derandomize=not at_night, database=None, print_blob=True)
     settings.load_profile("armwright")
 
 

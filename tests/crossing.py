@@ -292,10 +292,7 @@ def main(arguments: Sequence[str]) -> int:
             if what:
                 broken += 1
                 print(f"{kind} {number}: {'; '.join(what)}\n    {sequence}", flush=True)
-        print(
-            f"{kind}: {done} sequences so far, {broken} broken, {time.monotonic() - begun_s:.0f} s",
-            flush=True,
-        )
+        print(f"{kind}: {done} sequences so far, {broken} broken, {time.monotonic() - begun_s:.0f} s", flush=True)
     return 1 if broken else 0
 
 

@@ -28,9 +28,7 @@ def beside_reference_boards() -> Arm:
     """Joints 1 and 2 on a RoboClaw, joint 3 on reference boards."""
     claws = on_boards(RIGHT, "roboclaw")
     drives = (*claws.drives[:2], RIGHT.drives[2])
-    return replace(
-        claws, boards=claws.boards[:1], drives=drives, encoder_boards=RIGHT.encoder_boards, can=RIGHT.can
-    )
+    return replace(claws, boards=claws.boards[:1], drives=drives, encoder_boards=RIGHT.encoder_boards, can=RIGHT.can)
 
 
 def _in_mode(kind: str, mode: str, first: str, last: str) -> OnBoards:

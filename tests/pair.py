@@ -55,9 +55,7 @@ class Pair:
         end_s = self.rig.clock.now_s() + limit_s
         while not is_so():
             self.run(PERIOD_S)
-            assert self.rig.clock.now_s() <= end_s, {
-                arm: (self.mode(arm), self.faults(arm)) for arm in self.clients
-            }
+            assert self.rig.clock.now_s() <= end_s, {arm: (self.mode(arm), self.faults(arm)) for arm in self.clients}
 
     def inject(self, arm: str, kind: str, board: str, **keys: Any) -> None:
         self.robot(arm).inject(FaultTable(kind, board, **keys))
@@ -74,9 +72,7 @@ class Pair:
 
 
 @contextmanager
-def open_pair(
-    hidden: Scenario | None = None, cell: Cell = PAIR, period_s: float = PERIOD_S
-) -> Iterator[Pair]:
+def open_pair(hidden: Scenario | None = None, cell: Cell = PAIR, period_s: float = PERIOD_S) -> Iterator[Pair]:
     """Connect a runtime to mocks of a cell's arms; drives are off."""
     with SteppedCell(cell, hidden or scenario(APART, effect=FRICTION)) as rig:
         arms = [wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms]
@@ -84,10 +80,7 @@ def open_pair(
         ports = {name: one.camera_port for name, one in rig.ports.items()}
         connection = connect_cell(wired, rig.clock, period_s, ports)
         of_arms = {
-            arm.name: assemble(
-                arm, connection.of_arms[arm.name].hardware, period_s, stopwatch_s=rig.clock.now_s
-            )
-            for arm in arms
+            arm.name: assemble(arm, connection.of_arms[arm.name].hardware, period_s, stopwatch_s=rig.clock.now_s) for arm in arms
         }
         assembly = assemble_cell(wired, of_arms)
         channels: dict[str, InProcessChannel] = {}

@@ -22,19 +22,34 @@ def row_of(k: int, joint_count: int, **changes: float) -> dict[str, float]:
     t_s = k * PERIOD_s
     moving = k >= 10
     row: dict[str, float] = {
-        "t_s": BOOTED_s + t_s, "cycle": k, "run": int(moving), "mode": MODES.index("MOVING" if moving else "HOLDING"),
-        "missed": 0, "late_s": 1e-4, "busy_s": 3e-4, "payload_kg": 0.0,
+        "t_s": BOOTED_s + t_s,
+        "cycle": k,
+        "run": int(moving),
+        "mode": MODES.index("MOVING" if moving else "HOLDING"),
+        "missed": 0,
+        "late_s": 1e-4,
+        "busy_s": 3e-4,
+        "payload_kg": 0.0,
         **dict.fromkeys(("x_m", "y_m", "z_m"), 0.3 if k % 5 == 0 else math.nan),
-    }  # fmt: skip
+    }
     for j in range(1, joint_count + 1):
         wanted = 0.1 * j * math.sin(2 * math.pi * t_s)
         row |= {
-            f"q{j}_rad": wanted - j * ERROR_rad, f"q{j}_set_rad": wanted,
-            f"speed{j}_rad_s": 0.0, f"speed{j}_set_rad_s": 0.0, f"count{j}": 1000 * j,
-            f"u{j}_V": 1.0, f"i{j}_A": 0.5 * j, f"supply{j}_V": 24.0, f"temperature{j}_C": 30.0,
-            f"joint{j}_rad": wanted - j * (ERROR_rad + AHEAD_rad), f"joint{j}_set_rad": wanted - j * AHEAD_rad,
-            f"statusword{j}": 0x37, f"drive_faults{j}": 0, f"flags{j}": 4,
-        }  # fmt: skip
+            f"q{j}_rad": wanted - j * ERROR_rad,
+            f"q{j}_set_rad": wanted,
+            f"speed{j}_rad_s": 0.0,
+            f"speed{j}_set_rad_s": 0.0,
+            f"count{j}": 1000 * j,
+            f"u{j}_V": 1.0,
+            f"i{j}_A": 0.5 * j,
+            f"supply{j}_V": 24.0,
+            f"temperature{j}_C": 30.0,
+            f"joint{j}_rad": wanted - j * (ERROR_rad + AHEAD_rad),
+            f"joint{j}_set_rad": wanted - j * AHEAD_rad,
+            f"statusword{j}": 0x37,
+            f"drive_faults{j}": 0,
+            f"flags{j}": 4,
+        }
     return row | changes
 
 

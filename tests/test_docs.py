@@ -20,10 +20,7 @@ from firmware_iface.installation import PACKAGES
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-DOCUMENTS = [
-    *PAGES,
-    *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CONTRIBUTING", "CHANGELOG")),
-]
+DOCUMENTS = [*PAGES, *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CONTRIBUTING", "CHANGELOG"))]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FILE_IN_TEXT = re.compile(r"\bdocs/[\w.-]+\.(?:md|png)\b")
 CALL = re.compile(r"(?:^|\s|/)armwright ([a-z][a-z0-9-]*)\b(.*)")
@@ -110,9 +107,7 @@ def test_every_command_that_is_named_exists_with_its_options(page: Path) -> None
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_option_in_a_page_is_one_of_some_command(page: Path) -> None:
-    known = (
-        set.union(*(options_of(command) for command in subcommands().values())) | OF_BENCHMARKS | OF_LEROBOT
-    )
+    known = set.union(*(options_of(command) for command in subcommands().values())) | OF_BENCHMARKS | OF_LEROBOT
     text = "\n".join(code_lines(page.read_text(encoding="utf-8")))
     elsewhere = "\n".join(line for line in text.splitlines() if "python" not in line and "nc -UN" not in line)
     assert set(OPTION.findall(elsewhere)) <= known
@@ -136,16 +131,7 @@ def test_every_command_is_in_the_list_of_commands() -> None:
     assert [name for name in subcommands() if not re.search(rf"`(armwright )?{name}\b", text)] == []
 
 
-POWER_ROWS = [
-    "power-up",
-    "ids",
-    "line",
-    "current",
-    "brown-out",
-    "its own error",
-    "emergency stop",
-    "the host is gone",
-]
+POWER_ROWS = ["power-up", "ids", "line", "current", "brown-out", "its own error", "emergency stop", "the host is gone"]
 OUTCOMES = ("refused", "told", "unchecked", "set at", "at `enable`", "not relied on", "too slow: refused")
 
 
@@ -184,20 +170,14 @@ def tails() -> frozenset[str]:
     """Every file and folder of the code as one may name it: with all of the folders above it, or with the last of them."""
     paths = [path.relative_to(ROOT).parts for folder in CODE for path in (ROOT / folder).rglob("*")]
     return frozenset(
-        "/".join(parts[start:])
-        for parts in (*paths, *((name[:-1],) for name in CODE))
-        for start in range(len(parts))
+        "/".join(parts[start:]) for parts in (*paths, *((name[:-1],) for name in CODE)) for start in range(len(parts))
     )
 
 
 def spread(name: str) -> list[str]:
     """`a/{b,c}/d` as `a/b/d` and `a/c/d`."""
     found = re.search(r"{([\w,]+)}", name)
-    return (
-        [name]
-        if found is None
-        else [one for word in found[1].split(",") for one in spread(name.replace(found[0], word, 1))]
-    )
+    return [name] if found is None else [one for word in found[1].split(",") for one in spread(name.replace(found[0], word, 1))]
 
 
 def is_a_name(dotted: str) -> bool:
@@ -207,9 +187,7 @@ def is_a_name(dotted: str) -> bool:
         place = ROOT.joinpath(*parts[:count])
         source = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
         if source.exists():
-            return count == len(parts) or bool(
-                re.search(rf"\b{parts[count]}\b", source.read_text(encoding="utf-8"))
-            )
+            return count == len(parts) or bool(re.search(rf"\b{parts[count]}\b", source.read_text(encoding="utf-8")))
     return False
 
 
@@ -260,9 +238,7 @@ def test_names_of_the_architecture_below_a_room_exist() -> None:
 
 def test_every_function_of_a_characteristic_exists() -> None:
     text = (ROOT / "docs" / "iso9283.md").read_text(encoding="utf-8")
-    names = [
-        name for row in text.splitlines() if row.startswith("| ") for name in re.findall(r"`(\w+\.\w+)`", row)
-    ]
+    names = [name for row in text.splitlines() if row.startswith("| ") for name in re.findall(r"`(\w+\.\w+)`", row)]
     assert len(names) >= 14
     assert [name for name in names if not is_a_name(f"calib.iso9283.criteria.{name}")] == []
 
@@ -277,9 +253,7 @@ def test_code_and_documents_name_pages_that_exist() -> None:
 def test_every_target_of_make_that_is_named_exists(page: Path) -> None:
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     lines = code_lines(page.read_text(encoding="utf-8"))
-    assert [
-        name for line in lines for name in MAKE.findall(line.partition(" #")[0]) if name not in targets
-    ] == []
+    assert [name for line in lines for name in MAKE.findall(line.partition(" #")[0]) if name not in targets] == []
 
 
 def test_the_readme_fits_two_screens() -> None:

@@ -97,10 +97,7 @@ class _Connection:
     def close(self) -> None:
         """Let the arm hold where it is, and disconnect; also from a loop that is gone."""
         running, self._running = self.running, None
-        with (
-            contextlib.closing(running),
-            contextlib.suppress(armwright.ArmwrightError),
-        ):  # then it rests already
+        with contextlib.closing(running), contextlib.suppress(armwright.ArmwrightError):  # then it rests already
             if running.status().mode == "GUIDING":
                 running.hold()
             else:

@@ -12,12 +12,7 @@ import numpy.typing as npt
 PI = np.pi
 Numbers = float | npt.NDArray[Any]  # complex ones too: slopes are taken by complex steps
 REFERENCE_DH = np.array(
-    [
-        [0.076, 0.0, 0.0, PI / 2],
-        [0.0, PI / 2, 0.4, 0.0],
-        [-0.012, 0.0, 0.0, PI / 2],
-        [0.3543, 0.0, 0.0, PI / 2],
-    ]
+    [[0.076, 0.0, 0.0, PI / 2], [0.0, PI / 2, 0.4, 0.0], [-0.012, 0.0, 0.0, PI / 2], [0.3543, 0.0, 0.0, PI / 2]]
 )
 TWO_JOINT_DH = np.array([[0.1, 0.0, 0.3, PI / 2], [0.02, 0.3, 0.25, 0.1]])
 MODIFIED_DH = np.array(
@@ -106,9 +101,7 @@ def angles_for(model: ChainModel, dh: np.ndarray, tips_m: np.ndarray, seed_rad: 
     q = np.tile(seed_rad, (len(tips_m), 1)).astype(float)
     for _ in range(60):
         miss = tips_m - model.tips(dh, q)
-        jacobian = np.stack(
-            [model.tips(dh, q + 1e-30j * unit).imag / 1e-30 for unit in np.eye(q.shape[1])], axis=2
-        )
+        jacobian = np.stack([model.tips(dh, q + 1e-30j * unit).imag / 1e-30 for unit in np.eye(q.shape[1])], axis=2)
         step = np.einsum("mnk,mk->mn", np.linalg.pinv(jacobian), miss)
         q += step * np.minimum(1.0, 0.4 / np.maximum(1e-12, np.abs(step).max(axis=1, keepdims=True)))
         if np.abs(step).max() < 1e-9:
@@ -119,18 +112,13 @@ def angles_for(model: ChainModel, dh: np.ndarray, tips_m: np.ndarray, seed_rad: 
 TILTS = {"normal": (0.0, 0.0), "roll": (np.radians(11.7), 0.0), "pitch": (0.0, np.radians(11.8))}
 
 
-def deviations(
-    rng: np.random.Generator, links: int, length_m: float = 0.003, angle_rad: float = 0.02
-) -> np.ndarray:
+def deviations(rng: np.random.Generator, links: int, length_m: float = 0.003, angle_rad: float = 0.02) -> np.ndarray:
     """Uniform random DH deviations (links, 4)."""
     return np.asarray(rng.uniform(-1, 1, (links, 4)) * np.array([length_m, angle_rad, length_m, angle_rad]))
 
 
 def board_session(
-    rng: np.random.Generator,
-    setups: Sequence[str] = ("normal", "roll", "pitch"),
-    noise_m: float = 0.00014,
-    size: float = 1.0,
+    rng: np.random.Generator, setups: Sequence[str] = ("normal", "roll", "pitch"), noise_m: float = 0.00014, size: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
     """A table session of the reference arm: (true dh, q (m,3), tips measured (m,3), setup names)."""
     true_dh = REFERENCE_DH + size * deviations(rng, 4)

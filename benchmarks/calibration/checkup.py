@@ -44,10 +44,7 @@ def before(seed: int) -> Points:
 
 def sound() -> tuple[Hidden, ...]:
     """What the arm has from the start."""
-    return (
-        *(Hidden("backlash", j, PLAY_rad) for j in (1, 2, 3)),
-        Hidden("joint_compliance", 2, STIFFNESS_Nm_rad),
-    )
+    return (*(Hidden("backlash", j, PLAY_rad) for j in (1, 2, 3)), Hidden("joint_compliance", 2, STIFFNESS_Nm_rad))
 
 
 def checked(seed: int, sort: str, joint: int) -> CheckupDecision:
@@ -58,10 +55,7 @@ def checked(seed: int, sort: str, joint: int) -> CheckupDecision:
         hidden[joint - 1] = Hidden("backlash", joint, PLAY_rad + rng.uniform(4e-3, 8e-3))
     if sort == "loose link":
         kept = [one for one in hidden if (one.effect, one.joint) != ("joint_compliance", joint)]
-        hidden = [
-            *kept,
-            Hidden("joint_compliance", joint, {2: 700.0, 3: 150.0}[joint] * rng.uniform(0.8, 1.2)),
-        ]
+        hidden = [*kept, Hidden("joint_compliance", joint, {2: 700.0, 3: 150.0}[joint] * rng.uniform(0.8, 1.2))]
     q, direction = visits_of(seed)
     moved = np.zeros(3)
     if sort == "drifted zero":
@@ -72,9 +66,7 @@ def checked(seed: int, sort: str, joint: int) -> CheckupDecision:
     at = made.unseen
     tip = made.true_m + rng.normal(0.0, NOISE_m, made.true_m.shape)
     names = [f"c{k}" for k in range(len(q))]
-    points = make_points(
-        ["free"] * len(q), names, [1] * len(q), at.q_rad - moved, tip, at.direction, at.current_A
-    )
+    points = make_points(["free"] * len(q), names, [1] * len(q), at.q_rad - moved, tip, at.direction, at.current_A)
     return decide(expectation_of(ARM, before(seed), points))
 
 

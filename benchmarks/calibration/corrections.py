@@ -33,9 +33,15 @@ PERIOD_S = 0.002
 RIGHT = load_arm("right")
 # In front of the arm, from low to high, and where gravity changes sign for joints 2 and 3.
 STOPS_m = (
-    (0.45, 0.1, 0.25), (0.3, -0.3, 0.3), (0.1, 0.4, 0.55), (0.35, 0.15, 0.62), (0.05, 0.12, 0.78), (-0.1, 0.15, 0.76),
-    (0.2, -0.1, 0.7), (0.5, -0.2, 0.12),
-)  # fmt: skip
+    (0.45, 0.1, 0.25),
+    (0.3, -0.3, 0.3),
+    (0.1, 0.4, 0.55),
+    (0.35, 0.15, 0.62),
+    (0.05, 0.12, 0.78),
+    (-0.1, 0.15, 0.76),
+    (0.2, -0.1, 0.7),
+    (0.5, -0.2, 0.12),
+)
 CIRCLE_m, RADIUS_m, SPEED_m_s = (0.38, 0.0, 0.3), 0.12, 0.15
 FRICTION = tuple(Effect("coulomb_friction", j, {"torque_Nm": t}) for j, t in ((1, 1.0), (2, 1.2), (3, 0.7)))
 GENTLE = 0.4  # of the joints' limits, between stops
@@ -56,10 +62,7 @@ def case(effect: str, joint: int | None, **parameters: float) -> Case:
 
 GEOMETRIC = (
     *(case("backlash", joint, width_rad=0.005) for joint in (1, 2, 3)),
-    *(
-        case("joint_compliance", joint, stiffness_Nm_rad=k)
-        for joint, k in ((1, 2000.0), (2, 2500.0), (3, 1500.0))
-    ),
+    *(case("joint_compliance", joint, stiffness_Nm_rad=k) for joint, k in ((1, 2000.0), (2, 2500.0), (3, 1500.0))),
     case("belt_coupling", None, ratio=0.01),
     *(case("encoder_eccentricity", joint, amplitude_rad=0.005, phase_rad=0.7) for joint in (1, 2, 3)),
     *(case("encoder_scale", joint, scale=0.004) for joint in (1, 2, 3)),
@@ -122,10 +125,7 @@ def circle(arm: Arm = RIGHT) -> PlannedPath:
     """A circle in a tilted plane on which all joints reverse."""
     turns = np.linspace(0.0, 2.0 * np.pi, 25)
     x, y, z = CIRCLE_m
-    points = [
-        (x + RADIUS_m * np.cos(a), y + RADIUS_m * np.sin(a), z + 0.5 * RADIUS_m * np.sin(a + 1.0))
-        for a in turns
-    ]
+    points = [(x + RADIUS_m * np.cos(a), y + RADIUS_m * np.sin(a), z + 0.5 * RADIUS_m * np.sin(a + 1.0)) for a in turns]
     return plan_path(arm, [tuple(map(float, p)) for p in points], SPEED_m_s)
 
 
@@ -158,14 +158,9 @@ def _most(errors: Points) -> float:
 
 def table(cases: Sequence[Case]) -> list[str]:
     """Markdown rows: without the effect, with it unknown, with it named."""
-    lines = [
-        "| effect | at rest, unknown | named | on the circle, unknown | named |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    lines = ["| effect | at rest, unknown | named | on the circle, unknown | named |", "| --- | --- | --- | --- | --- |"]
     bare = run(FRICTION, FRICTION)
-    lines.append(
-        f"| none of these | {_mm(bare.rest_m, bare.rest_most_m)} | | {_mm(bare.path_m, bare.path_most_m)} | |"
-    )
+    lines.append(f"| none of these | {_mm(bare.rest_m, bare.rest_most_m)} | | {_mm(bare.path_m, bare.path_most_m)} | |")
     for one in cases:
         unknown, named = (run((*FRICTION, *one.effects), (*FRICTION, *of)) for of in ((), one.effects))
         cells = [

@@ -91,17 +91,13 @@ def simulated(arm: Arm, what: Session, draw: np.random.Generator) -> tuple[ArmPr
     return ArmProblem(model, observed, is_tool_free=what.kind == "tool", fixed=fixed), deviation
 
 
-def _references(
-    arm: Arm, what: Session, draw: np.random.Generator
-) -> tuple[Array, NDArray[np.intp], tuple[Frame, ...]]:
+def _references(arm: Arm, what: Session, draw: np.random.Generator) -> tuple[Array, NDArray[np.intp], tuple[Frame, ...]]:
     """33 cavities of the level board, 99 of three tilts, more: the rest somewhere in the workspace (on boards: again)."""
     table = table_of(arm)
     board = np.array(list(board_cavities(table).values()))
     setups = ("normal", "roll", "pitch")[: max(1, min(3, what.points_count // 33))]
     frames = tuple(
-        Frame(
-            f"board_{setup}", frozen(board_rotation(table, setup)), frozen(board_origin(table)), is_free=True
-        )
+        Frame(f"board_{setup}", frozen(board_rotation(table, setup)), frozen(board_origin(table)), is_free=True)
         for setup in setups
     )
     index = np.arange(what.points_count)
@@ -112,25 +108,19 @@ def _references(
     return positions, frame, frames
 
 
-def _redundant(
-    model: ArmModel, what: Session, positions: Array, frame: NDArray[np.intp], frames: tuple[Frame, ...]
-) -> list[str]:
+def _redundant(model: ArmModel, what: Session, positions: Array, frame: NDArray[np.intp], frames: tuple[Frame, ...]) -> list[str]:
     """DH parameters that the points do not determine besides the others: the last pivots of a QR decomposition."""
     from scipy.linalg import qr
 
     tips = np.array([frames[f].to_base(p[None])[0] for f, p in zip(frame, positions, strict=True)])
     q = _seated(model, model.nominal_dh, model.nominal_tool_m, tips)
     seen = (positions, frame, frames) if what.kind == "boards" else (tips, 0 * frame, (Frame.base(),))
-    problem = ArmProblem(
-        model, Observations(frozen(q), frozen(seen[0]), *seen[1:]), is_tool_free=what.kind == "tool"
-    )
+    problem = ArmProblem(model, Observations(frozen(q), frozen(seen[0]), *seen[1:]), is_tool_free=what.kind == "tool")
     columns = problem.sensitivity(np.zeros(len(problem.parameters))).reshape(-1, len(problem.parameters))
     known = determinability(columns.reshape(-1, 3, columns.shape[1]), problem.parameters)
     bounded = [k for k, p in enumerate(problem.parameters) if p.has_bound]
     rest = [k for k in range(len(problem.parameters)) if k not in bounded]
-    own = known.basis[
-        np.ix_(np.array(bounded), np.flatnonzero(np.abs(known.basis[rest]).max(axis=0, initial=0.0) == 0.0))
-    ]
+    own = known.basis[np.ix_(np.array(bounded), np.flatnonzero(np.abs(known.basis[rest]).max(axis=0, initial=0.0) == 0.0))]
     _, _, order = qr(own.T, pivoting=True)
     return [problem.parameters[bounded[k]].name for k in order[own.shape[1] :]]
 
@@ -148,9 +138,7 @@ def _seated(model: ArmModel, dh: Array, tool_m: Array, tips_m: Array, start: Arr
     return q
 
 
-def studied(
-    what: Session, sessions_count: int, seed: int = 0, runs: Executor | None = None
-) -> dict[str, Tally]:
+def studied(what: Session, sessions_count: int, seed: int = 0, runs: Executor | None = None) -> dict[str, Tally]:
     """Tallies by parameter name, over simulated sessions, each with random numbers of its own."""
     found: dict[str, Tally] = {}
     of_each = dict((runs or InProcess()).results(scored_session, (what, seed), range(sessions_count)))
@@ -167,9 +155,7 @@ def scored_session(asked: tuple[Session, int], number: int) -> list[tuple[str, E
     return list(_scored(problem, deviation, what))
 
 
-def _scored(
-    problem: ArmProblem, deviation: Array, what: Session
-) -> Iterator[tuple[str, Estimate, float, float]]:
+def _scored(problem: ArmProblem, deviation: Array, what: Session) -> Iterator[tuple[str, Estimate, float, float]]:
     objective: Objective = objective_named(what.objective)
     if isinstance(objective, Huber):
         robust = minimise(problem, objective_named("e2"), starts_count=1)
@@ -211,9 +197,7 @@ def main() -> None:
     wanted = given.parse_args()
     print("unknown points obj.   size par. scores  sd +-t  interval    min    max  sd of score  at bound [%]")
     with executor(wanted.sessions, wanted.workers, wanted.cluster) as runs:
-        for kind, count, objective, size in itertools.product(
-            wanted.kinds, wanted.points, wanted.objectives, wanted.sizes
-        ):
+        for kind, count, objective, size in itertools.product(wanted.kinds, wanted.points, wanted.objectives, wanted.sizes):
             what = Session(kind, count, objective, size)
             print(_row(what, studied(what, wanted.sessions, runs=runs)), flush=True)
 

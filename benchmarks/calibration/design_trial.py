@@ -37,9 +37,7 @@ def measured(dh: np.ndarray, q: np.ndarray, rng: np.random.Generator, setup: str
     return make_points([setup] * len(q), [f"{setup}{k}" for k in range(len(q))], [1] * len(q), q, tips)
 
 
-def table_points(
-    rng: np.random.Generator, setups: Sequence[str] = ("normal", "roll", "pitch")
-) -> tuple[np.ndarray, Points]:
+def table_points(rng: np.random.Generator, setups: Sequence[str] = ("normal", "roll", "pitch")) -> tuple[np.ndarray, Points]:
     """True DH table and the points of a table session."""
     dh, q, tips, names = board_session(rng, setups, NOISE_m)
     cavities = [str(1 + k % 33) for k in range(len(q))]
@@ -144,17 +142,13 @@ def counts() -> None:
         "table + 12 random, median": float(np.median(random)),
         "table + 12 spread": tip_mm(both(table, measured(dh, spread(12), rng))),
         "table + 12 planned, D": tip_mm(both(table, measured(dh, planned(table, 12), rng))),
-        "table + 12 planned, tip": tip_mm(
-            both(table, measured(dh, planned(table, 12, criterion="tip"), rng))
-        ),
+        "table + 12 planned, tip": tip_mm(both(table, measured(dh, planned(table, 12, criterion="tip"), rng))),
     }
     for criterion in ("D", "tip"):
         alone = [tip_mm(measured(dh, planned(None, n, criterion=criterion), rng)) for n in range(4, 41)]
         for name, aim in aims.items():
             least = next((n for n, reached in enumerate(alone, 4) if reached <= aim), None)
-            sys.stdout.write(
-                f"{name:<28}{aim:8.3f} mm: {least or 'more than 40'} planned poses alone ({criterion})\n"
-            )
+            sys.stdout.write(f"{name:<28}{aim:8.3f} mm: {least or 'more than 40'} planned poses alone ({criterion})\n")
 
 
 if __name__ == "__main__":

@@ -129,7 +129,7 @@ def main() -> None:
         ("one gauge, 40", {"gauge": 40}, {}),
         ("40 distances between two poses", {"pairs": 40}, {}),
         ("one wire, 40, and 10 tips", {"wires": "A", "tips": 10}, {}),
-    )  # fmt: skip
+    )
     for name, what, plan in cases:
         before, after, largest, ranks = [], [], [], []
         for seed in range(ARMS):

@@ -34,10 +34,7 @@ NO_WORSE = 1.0 + 1e-9
 NAMES = {"e2": "E2", "e1": "E1", "lsq": "LSQ", "huber": "Huber"}
 HUBER_m = 0.0003
 MEMORY_POINTS = 100_000
-MEMORY_PEERS = {
-    "least_squares": "scipy least_squares, analytic Jacobian",
-    "slsqp": "SLSQP, SI units, no gradient",
-}
+MEMORY_PEERS = {"least_squares": "scipy least_squares, analytic Jacobian", "slsqp": "SLSQP, SI units, no gradient"}
 MEMORY_FIGURES = (
     ("memory added at the peak", "peak_MB", "MB", 1.0),
     ("time", "took_s", "s", 1.0),

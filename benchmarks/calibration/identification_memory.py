@@ -28,9 +28,7 @@ def least_squares(problem: ArmProblem) -> float:
     def jacobian(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return problem.residuals_and_jacobian(x)[1].reshape(-1, k)
 
-    end = optimize.least_squares(
-        lambda x: problem.residuals(x).ravel(), np.zeros(k), jac=jacobian, bounds=(-1.0, 1.0)
-    )
+    end = optimize.least_squares(lambda x: problem.residuals(x).ravel(), np.zeros(k), jac=jacobian, bounds=(-1.0, 1.0))
     return float(end.cost)
 
 
@@ -46,11 +44,7 @@ def slsqp_alone(problem: ArmProblem) -> float:
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 RESET_PEAK = "5"  # man 5 proc: the peak becomes what is resident now
-SOLVERS: dict[str, Callable[[ArmProblem], float]] = {
-    "own": own,
-    "least_squares": least_squares,
-    "slsqp": slsqp_alone,
-}
+SOLVERS: dict[str, Callable[[ArmProblem], float]] = {"own": own, "least_squares": least_squares, "slsqp": slsqp_alone}
 
 
 def _peak_kB() -> int:

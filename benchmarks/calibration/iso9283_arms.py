@@ -51,9 +51,7 @@ def figures_of_case(cases: Cases, number: int) -> tuple[PoseFigures, ...]:
     names = [f"P{k + 1}" for k in range(len(cases.q_rad))] * VISITS
     repeats = [1 + k // len(cases.q_rad) for k in range(len(names))]
     at, seen_m = made.unseen, made.true_m + rng.normal(0.0, NOISE_m, made.true_m.shape)
-    programme = make_points(
-        ["pose"] * len(names), names, repeats, at.q_rad, seen_m, at.direction, at.current_A
-    )
+    programme = make_points(["pose"] * len(names), names, repeats, at.q_rad, seen_m, at.direction, at.current_A)
     try:
         return pose_figures(trust.predictor, arm, programme, Path("points.csv"))
     except UnusablePointsError:  # few poses of an arm with effects may look like another arm's
@@ -108,10 +106,7 @@ def held(one: PoseFigures) -> tuple[bool, bool]:
     predicted = one.repeatability_m
     if accuracy is None or repeatability is None or predicted is None:
         raise ValueError(f"{one.where}: expected measured figures")
-    return (
-        one.accuracy_m.lower <= accuracy <= one.accuracy_m.upper,
-        predicted.lower <= repeatability <= predicted.upper,
-    )
+    return (one.accuracy_m.lower <= accuracy <= one.accuracy_m.upper, predicted.lower <= repeatability <= predicted.upper)
 
 
 if __name__ == "__main__":

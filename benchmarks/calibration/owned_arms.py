@@ -74,9 +74,7 @@ class Afternoon:
     named: tuple[str, ...]
 
 
-def afternoon(
-    name: str, play_deg: float, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN
-) -> Afternoon:
+def afternoon(name: str, play_deg: float, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN) -> Afternoon:
     """One arm, made from a seed."""
     arm = replace(load_arm(name), camera=Camera(position_noise_m=NOISE_m))
     points = _recorded(arm, play_deg, seed, calibrated + seen)
@@ -97,22 +95,16 @@ def afternoon_of(sort: tuple[str, float], number: int) -> Afternoon:
     return afternoon(*sort, number)
 
 
-def webcam_afternoon(
-    name: str, play_deg: float, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN
-) -> Afternoon:
+def webcam_afternoon(name: str, play_deg: float, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN) -> Afternoon:
     """The same with pictures; the exported URDF is left out, whose error is that of its model and the play."""
     arm = replace(load_arm(name), tool=Tool(known=False), camera=Camera(position_noise_m=NOISE_m))
     hidden, draw = _hidden(arm, play_deg, seed), np.random.default_rng(seed)
     pictured = _pictured(arm, hidden)
     as_published = replace(pictured, deviations={})
     stops = _stops(arm, hidden, calibrated + seen, lambda pose: _shows_board(as_published, pose))
-    targets_m = [
-        pictured.last_link(pose).then(pictured.last_T_target).position_m for pose in stops.true_rad.tolist()
-    ]
+    targets_m = [pictured.last_link(pose).then(pictured.last_T_target).position_m for pose in stops.true_rad.tolist()]
     with tempfile.TemporaryDirectory() as folder:
-        measured = _photographed(
-            pictured, stops.points(np.full((len(stops.q_rad), 3), np.nan)), stops, Path(folder), draw
-        )
+        measured = _photographed(pictured, stops.points(np.full((len(stops.q_rad), 3), np.nan)), stops, Path(folder), draw)
         fitted = measured.chosen([k for k in range(len(measured)) if int(measured.point[k]) <= calibrated])
         lengths = [f"{key}{i}" for i in range(1, len(arm.links) + 1) for key in ("d", "L", "alpha")]
         zeros = calibrate(arm, fitted, fixed=lengths).arm
@@ -148,13 +140,7 @@ class _Stops:
     tip_m: Array
 
     def points(self, tip_m: Array) -> Points:
-        return make_points(
-            self.q_rad,
-            tip_m,
-            direction=self.direction,
-            current_A=self.current_A,
-            payload_kg=np.zeros(len(tip_m)),
-        )
+        return make_points(self.q_rad, tip_m, direction=self.direction, current_A=self.current_A, payload_kg=np.zeros(len(tip_m)))
 
 
 def _hidden(arm: Arm, play_deg: float, seed: int) -> Scenario:
@@ -170,9 +156,7 @@ def _recorded(arm: Arm, play_deg: float, seed: int, count: int) -> Points:
     return stops.points(stops.tip_m + np.random.default_rng(seed).normal(0.0, NOISE_m, (count, 3)))
 
 
-def _stops(
-    arm: Arm, hidden: Scenario, count: int, is_wanted: Callable[[Sequence[float]], bool] = lambda _: True
-) -> _Stops:
+def _stops(arm: Arm, hidden: Scenario, count: int, is_wanted: Callable[[Sequence[float]], bool] = lambda _: True) -> _Stops:
     """Wanted poses all over the range, moved to one after the other."""
     found: list[tuple[Array, Array, Array, Array, Array]] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -198,9 +182,15 @@ def _pictured(arm: Arm, hidden: Scenario) -> PicturedArm:
     grey = BOARD.drawn(DOTS_A_METRE, MARGIN_m)
     mount = FramePose(rotation_of(np.array(MOUNT_rad)), np.array(BOARD_OFF_m))
     return PicturedArm(
-        arm.links, arm.dh_convention, grey, grey.shape[1] / DOTS_A_METRE, mount,
-        looking_at(np.array(CAMERA_m), np.array(VIEW_m)), Webcam(), hidden.drawn_deviations(len(arm.links)),
-    )  # fmt: skip
+        arm.links,
+        arm.dh_convention,
+        grey,
+        grey.shape[1] / DOTS_A_METRE,
+        mount,
+        looking_at(np.array(CAMERA_m), np.array(VIEW_m)),
+        Webcam(),
+        hidden.drawn_deviations(len(arm.links)),
+    )
 
 
 def _shows_board(pictured: PicturedArm, pose: Sequence[float]) -> bool:
@@ -211,15 +201,11 @@ def _shows_board(pictured: PicturedArm, pose: Sequence[float]) -> bool:
     return bool(is_facing and away_m < FARTHEST_m and is_inside(pictured.webcam, BOARD, place))
 
 
-def _photographed(
-    pictured: PicturedArm, points: Points, stops: _Stops, folder: Path, draw: np.random.Generator
-) -> Points:
+def _photographed(pictured: PicturedArm, points: Points, stops: _Stops, folder: Path, draw: np.random.Generator) -> Points:
     """What the pictures of all poses measure, by a lens that other pictures calibrate."""
     photograph_board(BOARD, pictured.webcam, folder / "lens", draw)
     (folder / "arm").mkdir()
-    for key, pose in zip(
-        zip(points.setup, points.point, points.repeat, strict=True), stops.true_rad.tolist(), strict=True
-    ):
+    for key, pose in zip(zip(points.setup, points.point, points.repeat, strict=True), stops.true_rad.tolist(), strict=True):
         (folder / "arm" / f"{picture_name(*key)}.png").write_bytes(png_of(pictured.picture(pose, draw)))
     fit = fit_lens(BOARD, look_for(BOARD, picture_files(folder / "lens"), LENS_CORNERS))
     seen = look_for(BOARD, picture_files(folder / "arm"), CORNERS_LEAST)

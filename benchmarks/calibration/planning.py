@@ -105,9 +105,7 @@ def gains(sort: str, seed: int, area_m: Vector3) -> list[Gain]:
         return list(_compared(nominal, points, sort, area_m, scenario, folder / "log"))
 
 
-def _compared(
-    nominal: Arm, points: Points, sort: str, area_m: Vector3, scenario: Path, log: Path
-) -> Iterator[Gain]:
+def _compared(nominal: Arm, points: Points, sort: str, area_m: Vector3, scenario: Path, log: Path) -> Iterator[Gain]:
     arm = nominal if sort == "demo" else calibrate(nominal, points, CalibrationPlan(starts_count=2)).arm
     predictor = trust_in(arm, points, MapRequest(poses_count=300, is_checked=False)).predictor
     circle, ring = tasks(nominal)
@@ -190,8 +188,7 @@ def main() -> None:
                 found += of_arm
                 for one in of_arm:
                     predicted, measured = (
-                        f"{1e3 * before:.3f} to {1e3 * after:.3f} mm"
-                        for before, after in (one.predicted_m, one.measured_m)
+                        f"{1e3 * before:.3f} to {1e3 * after:.3f} mm" for before, after in (one.predicted_m, one.measured_m)
                     )
                     print(
                         f"{sort} {given.first_seed + number} {one.task}: predicted {predicted}, measured {measured},"
@@ -200,9 +197,7 @@ def main() -> None:
                     )
             for task in dict.fromkeys(one.task for one in found):
                 ratios = [one.ratio for one in found if one.task == task]
-                print(
-                    f"{sort} {task}: ratio {np.mean(ratios):.2f}, worst {max(ratios):.2f}, {len(ratios)} arms"
-                )
+                print(f"{sort} {task}: ratio {np.mean(ratios):.2f}, worst {max(ratios):.2f}, {len(ratios)} arms")
 
 
 if __name__ == "__main__":

@@ -86,9 +86,7 @@ def case(seed: int) -> ArmProblem:
     model = ArmModel(load_arm("right"))
     true = model.nominal_dh + size * rng.uniform(-1.0, 1.0, (4, 4)) * DEVIATION
     q = _board_poses(count, rng) if is_board else rng.uniform(-1.2, 1.2, (count, 3))
-    return ArmProblem(
-        model, Observations.of_tips(q, model.tips(true, q) + rng.normal(0.0, NOISE_m, (count, 3)))
-    )
+    return ArmProblem(model, Observations.of_tips(q, model.tips(true, q) + rng.normal(0.0, NOISE_m, (count, 3))))
 
 
 def _board_poses(count: int, rng: np.random.Generator) -> Array:
@@ -102,11 +100,7 @@ def _board_poses(count: int, rng: np.random.Generator) -> Array:
 
 
 def best_known(
-    problem: ArmProblem,
-    objective: Objective,
-    seed: int,
-    own_starts: int = OTHER_STARTS,
-    slsqp_starts: int = SLSQP_STARTS,
+    problem: ArmProblem, objective: Objective, seed: int, own_starts: int = OTHER_STARTS, slsqp_starts: int = SLSQP_STARTS
 ) -> dict[str, float]:
     """The best of each solver."""
     rng = np.random.default_rng(seed + 10_000_019)

@@ -28,21 +28,20 @@ def rows() -> Iterator[BenchRow]:
     alone_s, _ = _timed(lambda: _stored(design, InProcess()))
     start_cpu_s, _ = _in_pool(replace(design, arms_count=CHUNK + 1))
     pool_cpu_s, both_s = _in_pool(design)
-    yield BenchRow(
-        "arms a second, one process", ARMS / alone_s, "1/s", "plain numpy", ARMS / plain_s, plain_s / alone_s
-    )
+    yield BenchRow("arms a second, one process", ARMS / alone_s, "1/s", "plain numpy", ARMS / plain_s, plain_s / alone_s)
     overhead = (pool_cpu_s - start_cpu_s) / plain_cpu_s
     yield BenchRow(
-        "processor time of two processes, without their start", pool_cpu_s - start_cpu_s, "s", "plain numpy",
-        plain_cpu_s, overhead, f"<= {OVERHEAD_MOST}", overhead <= OVERHEAD_MOST,
-    )  # fmt: skip
+        "processor time of two processes, without their start",
+        pool_cpu_s - start_cpu_s,
+        "s",
+        "plain numpy",
+        plain_cpu_s,
+        overhead,
+        f"<= {OVERHEAD_MOST}",
+        overhead <= OVERHEAD_MOST,
+    )
     yield BenchRow(
-        "speed-up of two processes",
-        alone_s / both_s,
-        "",
-        "ideal, two free processors",
-        WORKERS,
-        alone_s / both_s / WORKERS,
+        "speed-up of two processes", alone_s / both_s, "", "ideal, two free processors", WORKERS, alone_s / both_s / WORKERS
     )
 
 

@@ -17,16 +17,7 @@ import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, TILTS, angles_for, board_points, deviations
 from benchmarks.gap.static.cases import ARM, LINK_SHARE, NOISE_A, RIGS, Design, NOISE_m, SEEDS_rad, visited
-from benchmarks.gap.static.physics import (
-    Hidden,
-    Poses,
-    Rig,
-    ahead_rad,
-    bent,
-    frames_of,
-    gravity_torques,
-    shifted_m,
-)
+from benchmarks.gap.static.physics import Hidden, Poses, Rig, ahead_rad, bent, frames_of, gravity_torques, shifted_m
 from benchmarks.gap.static.rough_cases import Rough, several
 from benchmarks.studies import add_options
 from calib.arm_problem.assembly import Choice
@@ -39,14 +30,7 @@ from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import TipError
 from calib.trust.trust import ELLIPSOID_95, MapRequest, trust_in
 
-AMONG = (
-    "backlash",
-    "joint_compliance",
-    "encoder_scale",
-    "encoder_eccentricity",
-    "belt_coupling",
-    "link_flexure",
-)
+AMONG = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "link_flexure")
 FREE = 25
 TESTED = 700
 ROUGHNESS = 0.08
@@ -62,9 +46,7 @@ class Session:
     true_m: Array
 
 
-def session(
-    seed: int, hidden: tuple[Hidden, ...], unseen_q: Array, unseen_direction: Array | None = None
-) -> Session:
+def session(seed: int, hidden: tuple[Hidden, ...], unseen_q: Array, unseen_direction: Array | None = None) -> Session:
     """A recording of a real arm, and its true tips at joint angles `unseen_q` (t, n), approached from any side."""
     rng, rig, design = np.random.default_rng(seed), RIGS["reference"], Design(free=FREE)
     true_dh = ARM.dh + deviations(rng, len(ARM.links))
@@ -89,8 +71,17 @@ def session(
         tip = tip + shifted_m(one, poses, rig, true_dh, tip)
     current = held / np.array([d.gear_ratio * d.torque_constant_Nm_A for d in ARM.drives])
     seen_m, seen_A = tip + rng.normal(0.0, NOISE_m, tip.shape), current + rng.normal(0.0, NOISE_A, q.shape)
-    points = make_points(names[:k], [row[1] for row in rows], [row[2] for row in rows], encoder[:k], seen_m[:k], last[:k],
-                         seen_A[:k], t_s[:k], payload[:k])  # fmt: skip
+    points = make_points(
+        names[:k],
+        [row[1] for row in rows],
+        [row[2] for row in rows],
+        encoder[:k],
+        seen_m[:k],
+        last[:k],
+        seen_A[:k],
+        t_s[:k],
+        payload[:k],
+    )
     return Session(points, Conditions(encoder[k:], last[k:], payload[k:], current[k:]), tip[k:])
 
 
@@ -102,9 +93,7 @@ def scored(sort: str, seed: int, unseen_q: Array) -> tuple[float, float, float]:
         made = session(seed, hidden, unseen_q)
     arm = calibrate(ARM, made.points, CalibrationPlan(starts_count=2)).arm
     trust = trust_in(arm, made.points, MapRequest(poses_count=300, is_checked=False))
-    error = trust.predictor.at(
-        made.unseen
-    )  # the arm's file has no effects: its encoder angles are joint angles
+    error = trust.predictor.at(made.unseen)  # the arm's file has no effects: its encoder angles are joint angles
     return _inside(error, made.true_m)
 
 
@@ -202,9 +191,7 @@ def rough_arm(seed: int, is_half: bool, unseen_count: int) -> RoughArm:
     lower, upper = np.array(rig.arm.limits_rad).T
     middle, half = 0.5 * (lower + upper), (0.25 if is_half else 0.45) * (upper - lower)
     n = len(lower)
-    q = np.vstack(
-        (middle + half * rng.uniform(-1.0, 1.0, (RECORDED, n)), rng.uniform(lower, upper, (unseen_count, n)))
-    )
+    q = np.vstack((middle + half * rng.uniform(-1.0, 1.0, (RECORDED, n)), rng.uniform(lower, upper, (unseen_count, n))))
     m = len(q)
     last = np.sign(rng.normal(size=q.shape))
     payload = np.where((np.arange(m) % 3 == 0) & (np.arange(m) < RECORDED), LOADED_kg, 0.0)
@@ -212,16 +199,7 @@ def rough_arm(seed: int, is_half: bool, unseen_count: int) -> RoughArm:
     true_dh = rig.arm.dh + deviations(rng, len(rig.arm.links))
     gravity = gravity_torques(rig, true_dh, q, payload, {})
     held = gravity + friction
-    poses = Poses(
-        q,
-        last,
-        payload,
-        8.0 * np.arange(m),
-        gravity,
-        gravity + LINK_SHARE * friction,
-        ("free",) * m,
-        rng,
-    )
+    poses = Poses(q, last, payload, 8.0 * np.arange(m), gravity, gravity + LINK_SHARE * friction, ("free",) * m, rng)
     names = tuple(rng.choice([*LAWS, "wobble", "bending"], int(rng.integers(3, 6)), replace=False).tolist())
     encoder, tip = q.copy(), rig.chain.tips(true_dh, q)
     for name in names:
@@ -234,15 +212,7 @@ def rough_arm(seed: int, is_half: bool, unseen_count: int) -> RoughArm:
     k = RECORDED
     seen = tip[:k] + rng.normal(0.0, NOISE_m, (k, 3))
     points = make_points(
-        ["free"] * k,
-        [f"p{i}" for i in range(k)],
-        [1] * k,
-        encoder[:k],
-        seen,
-        last[:k],
-        current[:k],
-        poses.t_s[:k],
-        payload[:k],
+        ["free"] * k, [f"p{i}" for i in range(k)], [1] * k, encoder[:k], seen, last[:k], current[:k], poses.t_s[:k], payload[:k]
     )
     return RoughArm(rig, points, Conditions(encoder[k:], last[k:], payload[k:], current[k:]), tip[k:], names)
 
@@ -253,11 +223,14 @@ def _scaled(rng: np.random.Generator) -> Rig:
     by = rng.uniform(*SCALES, len(rig.arm.links))
     links = tuple(
         dataclasses.replace(
-            link, d_m=s * link.d_m, L_m=s * link.L_m, mass_kg=s * (link.mass_kg or 0.0),
+            link,
+            d_m=s * link.d_m,
+            L_m=s * link.L_m,
+            mass_kg=s * (link.mass_kg or 0.0),
             com_m=tuple(s * c for c in link.com_m or (0.0, 0.0, 0.0)),
         )
         for link, s in zip(rig.arm.links, by.tolist(), strict=True)
-    )  # fmt: skip
+    )
     return dataclasses.replace(rig, arm=dataclasses.replace(rig.arm, links=links, table=None))
 
 
@@ -300,16 +273,12 @@ def _worn_play(rng: np.random.Generator, at: Poses, j: int) -> Array:
 
 def _hard_spring(rng: np.random.Generator, at: Poses, j: int) -> Array:
     pull = at.gravity[:, j] / np.abs(at.gravity[:, j]).max()
-    return np.asarray(
-        -rng.uniform(1e-3, 8e-3) * pull * (1.0 + _off(rng) * np.abs(pull) + 0.6 * _off(rng) * np.sign(pull))
-    )
+    return np.asarray(-rng.uniform(1e-3, 8e-3) * pull * (1.0 + _off(rng) * np.abs(pull) + 0.6 * _off(rng) * np.sign(pull)))
 
 
 def _uneven_scale(rng: np.random.Generator, at: Poses, j: int) -> Array:
     q = at.q[:, j]
-    return np.asarray(
-        rng.uniform(0.002, 0.01) * rng.choice((-1.0, 1.0)) * (q + _off(rng) * _wave(rng, q, 2.0))
-    )
+    return np.asarray(rng.uniform(0.002, 0.01) * rng.choice((-1.0, 1.0)) * (q + _off(rng) * _wave(rng, q, 2.0)))
 
 
 def _eccentric(rng: np.random.Generator, at: Poses, j: int) -> Array:
@@ -324,9 +293,7 @@ def _coupled(rng: np.random.Generator, at: Poses, j: int) -> Array:
 
 
 def _wound_up(rng: np.random.Generator, at: Poses, j: int) -> Array:
-    return np.asarray(
-        -rng.uniform(5e-4, 3e-3) * at.last[:, j] * (1.0 - np.exp(-np.abs(at.transmitted[:, j]) / 2.0))
-    )
+    return np.asarray(-rng.uniform(5e-4, 3e-3) * at.last[:, j] * (1.0 - np.exp(-np.abs(at.transmitted[:, j]) / 2.0)))
 
 
 LAWS: dict[str, Law] = {
@@ -344,9 +311,7 @@ def _moved_m(name: str, rng: np.random.Generator, at: Poses, rig: Rig, dh: Array
     """Displacement of the tip (m, 3) by a bent link or a wobbling axis."""
     if name == "wobble":
         joint = int(rng.integers(1, at.q.shape[1] + 1))
-        return shifted_m(
-            Hidden("wobble", joint, rng.uniform(5e-4, 3e-3), rng.uniform(-3.0, 3.0)), at, rig, dh, tip
-        )
+        return shifted_m(Hidden("wobble", joint, rng.uniform(5e-4, 3e-3), rng.uniform(-3.0, 3.0)), at, rig, dh, tip)
     link = int(rng.integers(2, 4))
     one, down = Hidden("link_flexure", link, rng.uniform(100.0, 600.0)), np.asarray(rig.arm.gravity_m_s2)
     frames = frames_of(rig, dh, at.q)

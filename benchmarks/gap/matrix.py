@@ -76,9 +76,7 @@ class Answer:
         return self.column == wanted.get(self.sort, "right")
 
 
-def answer(
-    case: str, truth: Truth, found: GapFinding, could_name: Collection[EffectName], seconds: float
-) -> Answer:
+def answer(case: str, truth: Truth, found: GapFinding, could_name: Collection[EffectName], seconds: float) -> Answer:
     """Compare the finding with the hidden effects; `could_name`: effects that the workflow predicted as nameable."""
     wanted = {one.name for one in truth.hidden}
     listed = wanted if truth.is_listed else set()
@@ -162,9 +160,7 @@ def figures(answers: Sequence[Answer], gap_target: float) -> str:
     quiet = sum(one.column == "nothing" for one in nulls)
     if nulls:
         bare = sum(one.column != "wrong" for one in nulls)
-        lines.append(
-            f"nothing hidden: no name in {bare} of {len(nulls)}; neither name, set nor unknown in {quiet}"
-        )
+        lines.append(f"nothing hidden: no name in {bare} of {len(nulls)}; neither name, set nor unknown in {quiet}")
     strange = [one for one in answers if one.sort == OFF_THE_LIST]
     if strange:
         bare = sum(one.column != "wrong" for one in strange)

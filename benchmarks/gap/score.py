@@ -29,12 +29,17 @@ from control.model.description import load_arm
 
 Half = Literal["poses", "time series", "mock arm, poses", "mock arm, time series"]
 TARGET: dict[Half, float] = {  # gap after naming, over the floor
-    "poses": 1.1, "time series": 1.3, "mock arm, poses": 1.1, "mock arm, time series": 1.3,
-}  # fmt: skip
+    "poses": 1.1,
+    "time series": 1.3,
+    "mock arm, poses": 1.1,
+    "mock arm, time series": 1.3,
+}
 COUNTS: dict[Half, int] = {"poses": 20, "time series": 40, "mock arm, poses": 8, "mock arm, time series": 5}
 WORDS: dict[str, tuple[Half, ...]] = {
-    "static": ("poses",), "dynamic": ("time series",), "mock": ("mock arm, poses", "mock arm, time series"),
-}  # fmt: skip
+    "static": ("poses",),
+    "dynamic": ("time series",),
+    "mock": ("mock arm, poses", "mock arm, time series"),
+}
 DYNAMIC_SORTS = 5  # of cases, that `answers` of the time series takes in turns
 
 
@@ -50,9 +55,7 @@ class Job:
 
 def main() -> int:
     """Print the scores of the halves that were asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("halves", nargs="*", metavar="HALF", help=f"{', '.join(WORDS)}; all by default")
     parser.add_argument("--cases", type=int, help="of each sort, in place of the default counts")
     add_options(parser)

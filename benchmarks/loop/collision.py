@@ -55,7 +55,7 @@ def rows() -> list[BenchRow]:
         BenchRow("the same, median", _percentile_us(checks, 50), "us"),
         compared(f"{gaps}99th percentile", _percentile_us(exact, 99), "us", name, _percentile_us(theirs, 99), "", None),
         compared(f"{gaps}median", _percentile_us(exact, 50), "us", name, _percentile_us(theirs, 50), "", None),
-    ]  # fmt: skip
+    ]
 
 
 def _drawn(cell: Cell, source: random.Random) -> list[tuple[float, ...]]:

@@ -37,9 +37,7 @@ def rows() -> list[BenchRow]:
     try:
         return _rows()
     except ArmError as error:  # a long pause of this machine stopped the arm
-        return [
-            BenchRow("console: ended early", float("nan"), "", str(error).replace("\n", " "), passed=False)
-        ]
+        return [BenchRow("console: ended early", float("nan"), "", str(error).replace("\n", " "), passed=False)]
 
 
 def _rows() -> list[BenchRow]:
@@ -61,14 +59,24 @@ def _rows() -> list[BenchRow]:
     return [
         BenchRow(f"lateness p99 at {RATE_Hz} Hz, holding, no console, {rights}", without_us, "us"),
         BenchRow(
-            "lateness p99 with the console open", with_us, "us", "without it", without_us, ratio,
-            f"at most {LATER_MOST}", ratio <= LATER_MOST,
+            "lateness p99 with the console open",
+            with_us,
+            "us",
+            "without it",
+            without_us,
+            ratio,
+            f"at most {LATER_MOST}",
+            ratio <= LATER_MOST,
         ),
         BenchRow(
-            f"console: processor time, {COLUMNS} x {ROWS}, status at 20 Hz", 100.0 * float(np.median(shares)), "%",
-            "of one processor", target=f"at most {100 * SHARE_MOST:.0f}", passed=float(np.median(shares)) <= SHARE_MOST,
+            f"console: processor time, {COLUMNS} x {ROWS}, status at 20 Hz",
+            100.0 * float(np.median(shares)),
+            "%",
+            "of one processor",
+            target=f"at most {100 * SHARE_MOST:.0f}",
+            passed=float(np.median(shares)) <= SHARE_MOST,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _phase(client: ArmClient) -> tuple[float, float]:
@@ -83,13 +91,17 @@ def _phase_with_console(client: ArmClient, folder: Path) -> tuple[tuple[float, f
     screen, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
     command = [
-        sys.executable, "-m", "console.main", "console", "--arm", str(folder / "arm.toml"),
-        "--socket", str(folder / "bench.sock"),
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "console.main",
+        "console",
+        "--arm",
+        str(folder / "arm.toml"),
+        "--socket",
+        str(folder / "bench.sock"),
+    ]
     environment = {**os.environ, "TERM": "xterm-256color"}
-    console = subprocess.Popen(
-        command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment, start_new_session=True
-    )
+    console = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment, start_new_session=True)
     os.close(terminal)
     try:
         _read_for(screen, SETTLE_S, console)

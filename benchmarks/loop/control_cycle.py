@@ -118,9 +118,7 @@ def rows() -> list[BenchRow]:
     ]
 
 
-def _rows_of(
-    where: str, whole: Sequence[Durations], parts: Sequence[Durations], hand_us: float, target: str
-) -> list[BenchRow]:
+def _rows_of(where: str, whole: Sequence[Durations], parts: Sequence[Durations], hand_us: float, target: str) -> list[BenchRow]:
     """One wiring's rows; the unit of the ratios is a call of the hand-written kinematics, on the same machine."""
 
     def row(name: str, us: float, target: str = "", passed: bool | None = None) -> BenchRow:
@@ -133,10 +131,7 @@ def _rows_of(
         row(f"control cycle over {where}, p50, fastest run", min(p50_us), target, passed),
         row(f"control cycle over {where}, p50, median run", median(p50_us)),
         row(f"control cycle over {where}, p99, fastest run", min(p99_us)),
-        *(
-            row(f"  of it: {part}, p50", min(median(durations[part]) for durations in parts))
-            for part in PARTS
-        ),
+        *(row(f"  of it: {part}, p50", min(median(durations[part]) for durations in parts)) for part in PARTS),
     ]
 
 

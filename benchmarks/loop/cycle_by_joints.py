@@ -29,10 +29,7 @@ from procedures.mock import wired_to
 from procedures.on_boards import on_boards
 
 ROUNDS = 5
-AWAY_rad, SPEED = (
-    0.25,
-    0.3,
-)  # of each joint from where it rests, and of the arm's full speed: some two seconds there and back
+AWAY_rad, SPEED = (0.25, 0.3)  # of each joint from where it rests, and of the arm's full speed: some two seconds there and back
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +93,7 @@ def _timed(arms: Arm | Cell, in_parts: bool = False) -> Durations:
     return stopwatch.took_us
 
 
-def _client(
-    arm: Arm, pipe: DrainedPipe, stopwatch: Stopwatch, ending: ExitStack, in_parts: bool
-) -> ArmClient:
+def _client(arm: Arm, pipe: DrainedPipe, stopwatch: Stopwatch, ending: ExitStack, in_parts: bool) -> ArmClient:
     period_s = 1.0 / arm.usual_rate_Hz
     start = Start(q_rad=None if arm.rest is None else arm.rest.q_rad, homed=True)
     rig = ending.enter_context(SteppedRig(arm, msgspec.structs.replace(load_scenario("ideal"), start=start)))
@@ -118,16 +113,12 @@ def _cell_clients(cell: Cell, pipe: DrainedPipe, stopwatch: Stopwatch, ending: E
     period_s = 1.0 / usual_rate_Hz([placed.arm for placed in cell.arms])
     rig = ending.enter_context(SteppedCell(cell))
     wired = cell.with_arms([wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms])
-    connection = connect_cell(
-        wired, rig.clock, period_s, {name: at.camera_port for name, at in rig.ports.items()}
-    )
+    connection = connect_cell(wired, rig.clock, period_s, {name: at.camera_port for name, at in rig.ports.items()})
     ending.callback(connection.close)
     assembly = assemble_cell(
         wired,
         {
-            placed.arm.name: assemble(
-                placed.arm, connection.of_arms[placed.arm.name].hardware, period_s, sink=pipe.sink
-            )
+            placed.arm.name: assemble(placed.arm, connection.of_arms[placed.arm.name].hardware, period_s, sink=pipe.sink)
             for placed in wired.arms
         },
     )

@@ -26,9 +26,7 @@ PINOCCHIO = "pinocchio"
 Pose = tuple[float, ...]
 
 
-def hand_inlined(
-    q1: float, q2: float, q3: float, sin: Any = math.sin, cos: Any = math.cos
-) -> tuple[float, float, float]:
+def hand_inlined(q1: float, q2: float, q3: float, sin: Any = math.sin, cos: Any = math.cos) -> tuple[float, float, float]:
     """The reference arm's tip as one would write it by hand."""
     c, s, q23 = cos(q1), sin(q1), q2 + q3
     reach = 0.3543 * cos(q23) - 0.4 * sin(q2)
@@ -87,9 +85,7 @@ def _own_work(arm: Arm, poses: Sequence[Pose]) -> dict[str, tuple[Callable[[], o
     }
 
 
-def _alternate(
-    work: dict[str, tuple[Callable[[], object], int]], peer: Peer | None
-) -> tuple[dict[str, float], dict[str, float]]:
+def _alternate(work: dict[str, tuple[Callable[[], object], int]], peer: Peer | None) -> tuple[dict[str, float], dict[str, float]]:
     """Return the fastest microseconds a call of every own and every peer's work."""
     own = dict.fromkeys(work, math.inf)
     theirs: dict[str, float] = {}
@@ -144,13 +140,7 @@ def _task(arm: Arm, poses: Sequence[Pose]) -> dict[str, Any]:
         for link, turns in zip(arm.links, arm.joints, strict=True)
     ]
     seeds = [nominal.solve(p, FRONT_UP) for p in targets]
-    return {
-        "gravity_m_s2": arm.gravity_m_s2,
-        "links": links,
-        "poses": poses,
-        "targets": targets,
-        "seeds": seeds,
-    }
+    return {"gravity_m_s2": arm.gravity_m_s2, "links": links, "poses": poses, "targets": targets, "seeds": seeds}
 
 
 def _require_same_answers(arm: Arm, poses: Sequence[Pose], answers: dict[str, Any]) -> None:

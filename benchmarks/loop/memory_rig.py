@@ -88,9 +88,7 @@ def _deliver(sent: Delivery, serial: MemoryByteLink, can: MemoryFrameLink) -> No
 class MemoryRig:
     """The host's ends of the wires to an arm: simulated, or from a script."""
 
-    def __init__(
-        self, arm: Arm, scenario: Scenario, period_s: float, script: Sequence[Delivery] | None = None
-    ) -> None:
+    def __init__(self, arm: Arm, scenario: Scenario, period_s: float, script: Sequence[Delivery] | None = None) -> None:
         bus = MemoryBus()
         self._serial, theirs = byte_pair()
         self._can, their_can = bus.join(), bus.join()

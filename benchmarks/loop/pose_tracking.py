@@ -36,9 +36,7 @@ def rows() -> Iterator[BenchRow]:
         off_m, off_rad = tracking_errors(has_friction)
         what = f"6 joints with orientation, {'friction' if has_friction else 'no friction'}"
         for off, unit in ((1e3 * off_m, "mm"), (1e3 * off_rad, "mrad")):
-            yield BenchRow(
-                f"circle of 0.05 m at {SPEED_m_s} m/s, {what}, RMS", float(np.sqrt(np.mean(off**2))), unit
-            )
+            yield BenchRow(f"circle of 0.05 m at {SPEED_m_s} m/s, {what}, RMS", float(np.sqrt(np.mean(off**2))), unit)
             yield BenchRow(f"circle of 0.05 m at {SPEED_m_s} m/s, {what}, max", float(off.max()), unit)
 
 
@@ -77,11 +75,11 @@ def tracking_errors(has_friction: bool) -> tuple[Array, Array]:
 def _scenario(q_rad: tuple[float, ...], has_friction: bool) -> Scenario:
     """The demo's noise on a known arm, at the path's start."""
     demo = load_scenario("demo")
-    effects = tuple(
-        EffectTable("coulomb_friction", joint, {"torque_Nm": torque})
-        for joint, torque in enumerate(FRICTION_Nm, 1)
-    )
+    effects = tuple(EffectTable("coulomb_friction", joint, {"torque_Nm": torque}) for joint, torque in enumerate(FRICTION_Nm, 1))
     return msgspec.structs.replace(
-        demo, true_dh=TrueDh(), every_joint=EveryJoint(), effect=effects if has_friction else (),
+        demo,
+        true_dh=TrueDh(),
+        every_joint=EveryJoint(),
+        effect=effects if has_friction else (),
         start=Start(q_rad=q_rad, homed=True),
-    )  # fmt: skip
+    )

@@ -54,7 +54,7 @@ def rows() -> list[BenchRow]:
         compared("pose and Jacobian, a batch of 1000", own["batch"], "us", name, theirs.get("forward_us"), "faster", 1.0),
         BenchRow("plan of a circle with orientation, 6 joints", _plan_ms(SIX), "ms"),
         BenchRow("plan of a circle with orientation, 7 joints", _plan_ms(SEVEN), "ms"),
-    ]  # fmt: skip
+    ]
 
 
 def _path() -> tuple[np.ndarray, np.ndarray]:
@@ -81,14 +81,10 @@ def _peer(path_rad: np.ndarray, tip: Poses) -> tuple[Peer | None, str]:
     except PeerMissing as error:
         return None, f"pinocchio {error}"
     name = f"pinocchio {peer.answers['version']}"
-    if peer.answers["largest_error"] > ACCURACY or not np.allclose(
-        peer.answers["q_rad"], path_rad, atol=1e-6
-    ):
+    if peer.answers["largest_error"] > ACCURACY or not np.allclose(peer.answers["q_rad"], path_rad, atol=1e-6):
         return None, f"{name} computes something else"
     return peer, name
 
 
 def _plan_ms(arm: Any) -> float:
-    return 1e3 * min(
-        seconds_a_call(lambda: plan_path(arm, circle_in_place(arm, tilt_rad=0.2), 0.1), 1) for _ in range(3)
-    )
+    return 1e3 * min(seconds_a_call(lambda: plan_path(arm, circle_in_place(arm, tilt_rad=0.2), 0.1), 1) for _ in range(3))

@@ -70,9 +70,14 @@ def _rows_at(rate_Hz: int) -> list[BenchRow]:
         cycles, row_bytes = cycles_of(Path(status["recording"])), row_bytes_of(Path(status["recording"]))
     packed_bytes = Layout.of(arm.joint_count).packing.size
     recorded = compared(
-        f"real time, {rate_Hz} Hz: recorded an hour", 3.6e-3 * rate_Hz * row_bytes, "MB", "packed rows",
-        3.6e-3 * rate_Hz * packed_bytes, "a fifth", 0.2,
-    )  # fmt: skip
+        f"real time, {rate_Hz} Hz: recorded an hour",
+        3.6e-3 * rate_Hz * row_bytes,
+        "MB",
+        "packed rows",
+        3.6e-3 * rate_Hz * packed_bytes,
+        "a fifth",
+        0.2,
+    )
     class_ = "SCHED_FIFO" if status["rights"] == "granted" else "without real-time rights"
     timely = [
         row
@@ -82,9 +87,7 @@ def _rows_at(rate_Hz: int) -> list[BenchRow]:
     return [*timely, recorded]
 
 
-def _rows_of(
-    name: str, period_s: float, cycles: NDArray[np.float64], span: tuple[float, float], remark: str
-) -> list[BenchRow]:
+def _rows_of(name: str, period_s: float, cycles: NDArray[np.float64], span: tuple[float, float], remark: str) -> list[BenchRow]:
     time_s, missed, late_s, age_s = cycles
     chosen = (time_s >= span[0]) & (time_s <= span[1])
     lost = float(missed[chosen][-1] - missed[chosen][0])
@@ -101,9 +104,7 @@ def _rows_of(
             for what, value in late_us.items()
         ),
         *(
-            BenchRow(
-                f"{name}: age of counts {what}", value, "us", "asked", AGE_ASKED_us, value / AGE_ASKED_us
-            )
+            BenchRow(f"{name}: age of counts {what}", value, "us", "asked", AGE_ASKED_us, value / AGE_ASKED_us)
             for what, value in age_us.items()
         ),
     ]
@@ -130,9 +131,19 @@ def runtime(folder: Path, rate_Hz: float) -> Iterator[ArmClient]:
     with RealTimeRig("right", scenario) as rig:
         save_arm(wired_to(reference_arm(), rig), arm_file)
         command = [
-            sys.executable, "-m", "console.main", "serve", "--arm", str(arm_file), "--socket", str(socket_path),
-            "--log", str(folder), "--rate", str(rate_Hz),
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "console.main",
+            "serve",
+            "--arm",
+            str(arm_file),
+            "--socket",
+            str(socket_path),
+            "--log",
+            str(folder),
+            "--rate",
+            str(rate_Hz),
+        ]
         runtime = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
         try:
             with closing(ArmClient(_connected(socket_path, runtime))) as client:

@@ -81,10 +81,7 @@ def rows() -> list[BenchRow]:
     through_kernel: dict[str, list[float]] = {name: [] for name in jobs}
     in_memory: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
-        benches = [
-            SteppedBench(arm, Path("demo"), Path(folder) / kind, kind == "kernel")
-            for kind in ("process", "kernel")
-        ]
+        benches = [SteppedBench(arm, Path("demo"), Path(folder) / kind, kind == "kernel") for kind in ("process", "kernel")]
         client, kernel_client = (bench.start(arm) for bench in benches)
         memory_clock, memory_client = _over_memory(arm)
         for each in (client, kernel_client, memory_client):
@@ -100,10 +97,7 @@ def rows() -> list[BenchRow]:
             bench.close()
     return [
         *(row for name, found in rates.items() for row in _rate_rows(f"stepped simulation, {name}", found)),
-        *(
-            _beside(f"  {name} over a pty and a virtual bus", found, rates[name])
-            for name, found in through_kernel.items()
-        ),
+        *(_beside(f"  {name} over a pty and a virtual bus", found, rates[name]) for name, found in through_kernel.items()),
         _beside("  circle over links in memory", in_memory, rates["circle"]),
         *(BenchRow(f"  of a stepped cycle: {name}", cost_us, "us") for name, cost_us in costs_us.items()),
     ]
@@ -142,9 +136,7 @@ def _rate_rows(name: str, rates: Sequence[float]) -> list[BenchRow]:
 def _beside(name: str, rates: Sequence[float], ours: Sequence[float]) -> BenchRow:
     """The fastest run over other links, beside ours in the same minutes."""
     fastest = max(rates)
-    return BenchRow(
-        f"{name}, fastest run", fastest, "s/s", "within the process", max(ours), fastest / max(ours)
-    )
+    return BenchRow(f"{name}, fastest run", fastest, "s/s", "within the process", max(ours), fastest / max(ours))
 
 
 def _costs(rig: SimulatedArm, client: ArmClient, job: Job) -> dict[str, float]:

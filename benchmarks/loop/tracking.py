@@ -72,12 +72,18 @@ def _rows_of(mode: str, has_friction: bool, runs: Sequence[Points]) -> list[Benc
     name = f"tip tracking, {what}, {mode} mode"
     return [
         BenchRow(
-            f"{name}, RMS, worst of {len(runs)} seeds", worst_mm, "mm", "the limit", target_mm, worst_mm / target_mm,
-            limit, worst_mm <= target_mm,
+            f"{name}, RMS, worst of {len(runs)} seeds",
+            worst_mm,
+            "mm",
+            "the limit",
+            target_mm,
+            worst_mm / target_mm,
+            limit,
+            worst_mm <= target_mm,
         ),
         BenchRow(f"{name}, RMS, median seed", median(rms_mm), "mm"),
         BenchRow(f"{name}, max", max(most_mm), "mm"),
-    ]  # fmt: skip
+    ]
 
 
 def tip_errors_m(arm: Arm, has_friction: bool, seed: int) -> Points:

@@ -42,11 +42,9 @@ def rows() -> list[BenchRow]:
     return [
         compared("COMMAND, set-point in V to bytes", us["encode"], "us", peer, us["cantools encode"], "", None),
         compared("REPLY, bytes to A, V and degC", us["decode"], "us", peer, us["cantools decode"], "", None),
-        compared(
-            "REPORT, bytes to counts, COBS and CRC checked", us["report"], "us", cobs_name, us.get("cobs"), "", None
-        ),
+        compared("REPORT, bytes to counts, COBS and CRC checked", us["report"], "us", cobs_name, us.get("cobs"), "", None),
         BenchRow("REPORT, counts to bytes (in a mock board)", us["encode report"], "us"),
-    ]  # fmt: skip
+    ]
 
 
 def _work() -> dict[str, Work]:
@@ -54,9 +52,7 @@ def _work() -> dict[str, Work]:
     with as_file(files("firmware_iface.motor") / "motor_board.dbc") as path:
         database: Any = cantools.database.load_file(path)
     pack, unpack, payload = motor_wire.pack_raw_command, motor_wire.unpack_reply, REPLY.pack()
-    named = {
-        "Controlword": 15, "Mode": 1, "Sequence": 5, "SetpointVoltage": 1.234, "Feedforward": 0.0,
-    }  # fmt: skip
+    named = {"Controlword": 15, "Mode": 1, "Sequence": 5, "SetpointVoltage": 1.234, "Feedforward": 0.0}
     command, reply = database.get_message_by_frame_id(COMMAND_ID), database.get_message_by_frame_id(REPLY_ID)
     coded, decoder = encoder_wire.encode(REPORT), encoder_wire.Decoder()
     if command.encode(named) != pack(15, 1 | 5 << 3, 1234, 0) or decoder.feed(coded) != [REPORT]:

@@ -40,9 +40,7 @@ def robot_of(dh: Any) -> Any:
 def handler_of(dh: Any) -> Any:
     """Everything free that standard DH has: four parameters a link."""
     chain_mask = [False, False] + [True] * (dh.size - 2)
-    return optimization.OptimizationHandler(
-        robot_of(dh), kinematic_chain_mask=chain_mask, tool_mask=FREE_TOOL
-    )
+    return optimization.OptimizationHandler(robot_of(dh), kinematic_chain_mask=chain_mask, tool_mask=FREE_TOOL)
 
 
 def coordinates(vector: Any, handler: Any, qs: Any, positions: Any) -> Any:
@@ -56,24 +54,12 @@ def identified(dh: Any, question: dict[str, Any]) -> dict[str, Any]:
     """One identification with its cost."""
     handler = handler_of(dh)
     qs, positions = np.array(question["q_rad"]), np.array(question["tip_m"])
-    kinds: dict[str, Callable[..., Any]] = {
-        "coordinates": coordinates,
-        "lengths": optimization.optimize_accuracy,
-    }
+    kinds: dict[str, Callable[..., Any]] = {"coordinates": coordinates, "lengths": optimization.optimize_accuracy}
     residuals = kinds[question["kind"]]
     start = perf_counter()
-    found = least_squares(
-        residuals,
-        handler.generate_optimization_vector(),
-        args=(handler, qs, positions),
-    )
+    found = least_squares(residuals, handler.generate_optimization_vector(), args=(handler, qs, positions))
     took_s = perf_counter() - start
-    return {
-        "took_s": took_s,
-        "objective": float(found.cost),
-        "evaluations": int(found.nfev),
-        "status": int(found.status),
-    }
+    return {"took_s": took_s, "objective": float(found.cost), "evaluations": int(found.nfev), "status": int(found.status)}
 
 
 def main() -> None:

@@ -82,8 +82,7 @@ class Work:
         return {
             "forward_us": _us(lambda: [self.forward(q) for q in self.poses], len(self.poses)),
             "inverse_us": _us(
-                lambda: [self.inverse(p, q) for p, q in zip(self.targets, self.seeds, strict=True)],
-                len(self.poses),
+                lambda: [self.inverse(p, q) for p, q in zip(self.targets, self.seeds, strict=True)], len(self.poses)
             ),
             "dynamics_us": _us(lambda: [self.dynamics(q) for q in self.poses], len(self.poses)),
         }
@@ -93,9 +92,7 @@ class Work:
         found = [self.inverse(p, q) for p, q in zip(self.targets, self.seeds, strict=True)]
         return {
             "tips_m": [self.forward(q).tolist() for q in self.poses],
-            "inverse_errors_m": [
-                float(np.linalg.norm(self.forward(q) - p)) for p, q in zip(self.targets, found, strict=True)
-            ],
+            "inverse_errors_m": [float(np.linalg.norm(self.forward(q) - p)) for p, q in zip(self.targets, found, strict=True)],
             "torques_Nm": [self.dynamics(q).tolist() for q in self.poses],
             "version": pin.__version__,
         }

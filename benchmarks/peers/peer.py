@@ -38,10 +38,7 @@ def _environment(lock_name: str) -> tuple[Path, str]:
         return python, ""
     print(f"(installing peers from {lock.name}; once)", flush=True)
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    for command in (
-        [sys.executable, "-m", "venv", str(environment)],
-        [*pip, "--no-deps", "--require-hashes", "-r", str(lock)],
-    ):
+    for command in ([sys.executable, "-m", "venv", str(environment)], [*pip, "--no-deps", "--require-hashes", "-r", str(lock)]):
         if reason := _failure(command):
             print(f"peers of {lock.name} are not installed, their columns stay empty: {reason}", flush=True)
             return python, "not installed"
@@ -92,9 +89,7 @@ class Peer:
     def __enter__(self) -> "Peer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """End the script."""
         if self._process.stdin is not None:
             self._process.stdin.close()

@@ -40,10 +40,7 @@ class Work:
     def __init__(self, arm: dict[str, Any]) -> None:
         self.model, self.tip = _model(arm)
         self.data = self.model.createData()
-        self.targets = [
-            pin.SE3(np.array(r), np.array(p))
-            for r, p in zip(arm["rotations"], arm["positions_m"], strict=True)
-        ]
+        self.targets = [pin.SE3(np.array(r), np.array(p)) for r, p in zip(arm["rotations"], arm["positions_m"], strict=True)]
         self.poses = [np.array(q) for q in arm["poses"]]
 
     def forward(self, q: Any) -> Any:
@@ -68,10 +65,7 @@ class Work:
     def measure(self) -> dict[str, float]:
         """Microseconds a call."""
         times = {}
-        for name, work in (
-            ("inverse_us", self.follow),
-            ("forward_us", lambda: [self.forward(q) for q in self.poses]),
-        ):
+        for name, work in (("inverse_us", self.follow), ("forward_us", lambda: [self.forward(q) for q in self.poses])):
             work()  # untimed warm-up: the other process has used the caches
             start = perf_counter()
             work()
@@ -85,11 +79,7 @@ class Work:
             np.abs(pin.log6(self.forward(q)[0].actInv(target)).vector).max()
             for q, target in zip(found, self.targets, strict=True)
         ]
-        return {
-            "q_rad": [q.tolist() for q in found],
-            "largest_error": float(max(errors)),
-            "version": pin.__version__,
-        }
+        return {"q_rad": [q.tolist() for q in found], "largest_error": float(max(errors)), "version": pin.__version__}
 
 
 def main() -> None:

@@ -110,9 +110,7 @@ def _report(recording: Path, moves: int, pauses: int, faults: Counter[str]) -> N
     print(f"missed deadlines: {lost} ({100.0 * lost / (len(missed) + lost):.3f} %)")
     for name, values in (("lateness", late_s), ("age of counts", age_s[np.isfinite(age_s)])):
         quantiles = np.percentile(1e6 * values, (50.0, 99.0, 99.9, 100.0))
-        print(
-            f"{name} [us]: p50 {quantiles[0]:.0f}, p99 {quantiles[1]:.0f}, p99.9 {quantiles[2]:.0f}, max {quantiles[3]:.0f}"
-        )
+        print(f"{name} [us]: p50 {quantiles[0]:.0f}, p99 {quantiles[1]:.0f}, p99.9 {quantiles[2]:.0f}, max {quantiles[3]:.0f}")
     print(f"involuntary switches {int(switches.sum())}, page faults {int(page_faults.sum())}")
     print(f"faults: {', '.join(f'{code} {count}' for code, count in faults.items()) or 'none'}")
 

@@ -70,9 +70,7 @@ def _session(played: Stage) -> None:
             boards, geometry = Boards(arm, plan), ArmGeometry(arm)
             hand = MockHandSeat(HandPort(played.rig.hand, played.run), boards.reference_m)
             ways, watch = ClearPaths(arm, geometry), ResidualWatch(arm)
-            talk = conduct(
-                session, Station(RuntimePort(played.client), geometry, boards, watch, hand, ways=ways)
-            )
+            talk = conduct(session, Station(RuntimePort(played.client), geometry, boards, watch, hand, ways=ways))
             next(talk)
             while session.state.left():
                 talk.send(GO)
@@ -96,11 +94,16 @@ def _say(looks: list[Look], taken_s: float) -> None:
     now = looks[-1]
     print(
         ROW.format(
-            len(looks), f"{now.simulated_s / 3600.0:.2f}", f"{now.memory_bytes / 1e6:.1f}", now.handles,
-            f"{1e3 * now.off_rad:.2f}", now.lost, f"{now.simulated_s / taken_s:.1f}",
+            len(looks),
+            f"{now.simulated_s / 3600.0:.2f}",
+            f"{now.memory_bytes / 1e6:.1f}",
+            now.handles,
+            f"{1e3 * now.off_rad:.2f}",
+            now.lost,
+            f"{now.simulated_s / taken_s:.1f}",
         ),
         flush=True,
-    )  # fmt: skip
+    )
 
 
 def verdict(looks: list[Look]) -> int:

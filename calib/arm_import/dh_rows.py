@@ -99,10 +99,7 @@ def _standard(pairs: Sequence[ScrewPair]) -> list[Row]:
 
 def _modified(pairs: Sequence[ScrewPair]) -> list[Row]:
     before = [Screw(), *(pair.x for pair in pairs[:-1])]
-    return [
-        Row(p.joint, p.z.move_m, p.z.turn_rad, x.move_m, x.turn_rad)
-        for p, x in zip(pairs, before, strict=True)
-    ]
+    return [Row(p.joint, p.z.move_m, p.z.turn_rad, x.move_m, x.turn_rad) for p, x in zip(pairs, before, strict=True)]
 
 
 def _z_line(frame: Array) -> Axis:

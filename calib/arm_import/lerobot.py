@@ -42,19 +42,13 @@ def read_calibration(path: Path) -> dict[str, LeRobotMotor]:
     try:
         motors = msgspec.json.decode(read_bytes(path), type=dict[str, LeRobotMotor])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ImportedModelError(
-            f"{path}: expected a calibration of LeRobot (JSON, a motor a key): {error}"
-        ) from None
+        raise ImportedModelError(f"{path}: expected a calibration of LeRobot (JSON, a motor a key): {error}") from None
     named: dict[int, str] = {}
     for name, motor in motors.items():
         if (other := named.setdefault(motor.id, name)) != name:
-            raise ImportedModelError(
-                f"{path}: {name}: expected an id of its own, got {motor.id}, which {other} has"
-            )
+            raise ImportedModelError(f"{path}: {name}: expected an id of its own, got {motor.id}, which {other} has")
         if motor.range_max <= motor.range_min:
-            raise ImportedModelError(
-                f"{path}: {name}: expected range_max above {motor.range_min}, got {motor.range_max}"
-            )
+            raise ImportedModelError(f"{path}: {name}: expected range_max above {motor.range_min}, got {motor.range_max}")
     return motors
 
 
@@ -64,26 +58,19 @@ def taken_over(arm: Arm, motors: Mapping[str, LeRobotMotor]) -> tuple[Arm, tuple
     for drive, name in _named_drives(arm):
         motor = _motor_of(arm, drive, motors)
         zero = round(0.5 * (motor.range_min + motor.range_max))
-        ends = sorted(
-            drive.encoder_direction * (end - zero) / _counts_per_rad()
-            for end in (motor.range_min, motor.range_max)
-        )
+        ends = sorted(drive.encoder_direction * (end - zero) / _counts_per_rad() for end in (motor.range_min, motor.range_max))
         lower, upper = max(drive.joint_lower_rad, ends[0]), min(drive.joint_upper_rad, ends[1])
         if lower >= upper:
             raise ImportedModelError(
                 f"{name}: its range, {drive.joint_lower_rad:.3f} to {drive.joint_upper_rad:.3f} rad, has nothing of LeRobot's,"
                 f" {ends[0]:.3f} to {ends[1]:.3f} rad"
             )
-        drives.append(
-            dataclasses.replace(drive, zero_count=zero, joint_lower_rad=lower, joint_upper_rad=upper)
-        )
+        drives.append(dataclasses.replace(drive, zero_count=zero, joint_lower_rad=lower, joint_upper_rad=upper))
         notes.append(f"{name}: zero at count {zero}, {lower:.3f} to {upper:.3f} rad")
     return dataclasses.replace(arm, drives=tuple(drives)), tuple(notes)
 
 
-def given_back(
-    arm: Arm, motors: Mapping[str, LeRobotMotor], generic: Arm
-) -> tuple[dict[str, LeRobotMotor], tuple[str, ...]]:
+def given_back(arm: Arm, motors: Mapping[str, LeRobotMotor], generic: Arm) -> tuple[dict[str, LeRobotMotor], tuple[str, ...]]:
     """The calibration with which LeRobot's angles are those of the `generic` arm, as far as zeros can do it; and what it costs.
 
     A joint whose theta was identified stands elsewhere than the generic arm has it: its zero moves by that. LeRobot has its zero
@@ -104,9 +91,7 @@ def given_back(
         if reach < 1.0:
             raise ImportedModelError(f"{called}: its range does not contain the zero that LeRobot would have")
         low = math.ceil(zero - reach)
-        given[names[motor.id]] = msgspec.structs.replace(
-            motor, range_min=low, range_max=round(2.0 * zero) - low
-        )
+        given[names[motor.id]] = msgspec.structs.replace(motor, range_min=low, range_max=round(2.0 * zero) - low)
         lost_rad = max(-ends_rad[0], ends_rad[1]) - reach / counts
         cost = f"; {lost_rad:.2f} rad of its travel are left out" if lost_rad > WORTH_SAYING_rad else ""
         notes.append(f"{called}: zero moved by {shift_rad:+.4f} rad{cost}")
@@ -140,7 +125,5 @@ def _motor_of(arm: Arm, drive: Drive, motors: Mapping[str, LeRobotMotor]) -> LeR
     by_id = {motor.id: motor for motor in motors.values()}
     if board.address not in by_id:
         ids = ", ".join(map(str, sorted(by_id)))
-        raise ImportedModelError(
-            f"arm {arm.name}: joint {drive.joint} is servo {board.address}; the calibration has {ids}"
-        )
+        raise ImportedModelError(f"arm {arm.name}: joint {drive.joint} is servo {board.address}; the calibration has {ids}")
     return by_id[board.address]

@@ -145,9 +145,7 @@ def _torque_Nm(model: Any, joint: int) -> float:
     if bool(model.jnt_actfrclimited[joint]):
         return float(np.max(np.abs(model.jnt_actfrcrange[joint])))
     for i in range(model.nu):
-        is_here = (
-            model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i][0] == joint
-        )
+        is_here = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i][0] == joint
         if not is_here:
             continue
         gear = abs(float(model.actuator_gear[i][0]))

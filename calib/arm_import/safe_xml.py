@@ -17,8 +17,7 @@ MOST_ELEMENTS: Final = 200_000
 DEEPEST: Final = 256
 IN_UTF_8: Final = 'save the file as UTF-8, and write encoding="utf-8" in its first line, or none'
 WRONG_ENCODINGS: Final = {
-    expat.errors.codes[kind]
-    for kind in (expat.errors.XML_ERROR_UNKNOWN_ENCODING, expat.errors.XML_ERROR_INCORRECT_ENCODING)
+    expat.errors.codes[kind] for kind in (expat.errors.XML_ERROR_UNKNOWN_ENCODING, expat.errors.XML_ERROR_INCORRECT_ENCODING)
 }
 
 

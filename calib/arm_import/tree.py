@@ -180,18 +180,12 @@ def _named(tree: Tree, name: str, option: str) -> str:
 def _only_end(tree: Tree, base: str) -> str:
     """The end of the arm; of several, an error that lists them with the joints that move them."""
     parents = {link.parent for link in tree.links.values()}
-    ends = [
-        name
-        for name in tree.links
-        if name not in parents and base in (link.name for link in tree.path_to(name))
-    ]
+    ends = [name for name in tree.links if name not in parents and base in (link.name for link in tree.path_to(name))]
     if len(ends) == 1:
         return ends[0]
     moved = {end: sum(_moves(link) for link in tree.path_to(end)) for end in ends}
     listed = ", ".join(f"{end} ({count} joints)" for end, count in moved.items())
-    raise ImportedModelError(
-        f"{tree.file}: the tree has {len(ends)} ends: {listed}; name the arm's with --tip LINK"
-    )
+    raise ImportedModelError(f"{tree.file}: the tree has {len(ends)} ends: {listed}; name the arm's with --tip LINK")
 
 
 def _moves(link: TreeLink) -> bool:
@@ -239,7 +233,5 @@ def _carried(
             masses[number].append(mass.seen_from(seen[name]))
     notes = []
     if side:
-        notes.append(
-            f"joints beside the arm ({', '.join(side)}) were taken as fixed at their zero; their masses count"
-        )
+        notes.append(f"joints beside the arm ({', '.join(side)}) were taken as fixed at their zero; their masses count")
     return tuple(together(group) for group in masses), notes

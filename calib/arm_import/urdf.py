@@ -62,10 +62,7 @@ class _Urdf:
             )
             for name in order
         }
-        notes = [
-            *self._notes,
-            f"a URDF has no gravity: {list(GRAVITY)} m/s^2 in the frame of link {order[0]}",
-        ]
+        notes = [*self._notes, f"a URDF has no gravity: {list(GRAVITY)} m/s^2 in the frame of link {order[0]}"]
         if self._rounded:
             few = ", ".join(sorted(self._rounded)[:3])
             notes.append(f"angles such as {few} were read as the parts of a turn of which they are roundings")
@@ -78,9 +75,7 @@ class _Urdf:
         for element in root.walk():
             macros = [v for v in element.attributes.values() if "${" in v or "$(" in v]
             if element.tag.startswith("xacro:") or macros:
-                raise self._error(
-                    element, f"this is xacro, not URDF: run `xacro {self._path.name} > robot.urdf` first"
-                )
+                raise self._error(element, f"this is xacro, not URDF: run `xacro {self._path.name} > robot.urdf` first")
         if root.tag != "robot":
             hint = "; use --from-mjcf" if root.tag == "mujoco" else ""
             raise self._error(root, f"expected <robot>, got <{root.tag}>{hint}")
@@ -98,9 +93,7 @@ class _Urdf:
             raise self._error(root, f"more than {MOST_LINKS} links")
         return links
 
-    def _joints(
-        self, root: Element, links: dict[str, Element]
-    ) -> dict[str, tuple[str, Array, TreeJoint | None]]:
+    def _joints(self, root: Element, links: dict[str, Element]) -> dict[str, tuple[str, Array, TreeJoint | None]]:
         """By child: its parent, its pose there, and the joint."""
         found: dict[str, tuple[str, Array, TreeJoint | None]] = {}
         for element in root.all("joint"):
@@ -115,14 +108,10 @@ class _Urdf:
         element = joint.first(which)
         link = element.attributes.get("link", "") if element else ""
         if link not in links:
-            raise self._error(
-                joint, f"joint {name}: expected <{which} link=...> that names a link, got {link!r}"
-            )
+            raise self._error(joint, f"joint {name}: expected <{which} link=...> that names a link, got {link!r}")
         return link
 
-    def _from_the_root(
-        self, links: dict[str, Element], joints: dict[str, tuple[str, Array, TreeJoint | None]]
-    ) -> list[str]:
+    def _from_the_root(self, links: dict[str, Element], joints: dict[str, tuple[str, Array, TreeJoint | None]]) -> list[str]:
         roots = [name for name in links if name not in joints]
         if len(roots) != 1:
             got = "none: the joints form a loop" if not roots else ", ".join(roots[:6])
@@ -136,9 +125,7 @@ class _Urdf:
             at += 1
         if len(order) != len(links):
             lost = ", ".join(sorted(set(links) - set(order))[:6])
-            raise ImportedModelError(
-                f"{self._path}: links that hang on each other and not on {roots[0]}: {lost}"
-            )
+            raise ImportedModelError(f"{self._path}: links that hang on each other and not on {roots[0]}: {lost}")
         return order
 
     def _joint(self, element: Element, name: str) -> TreeJoint | None:
@@ -177,9 +164,7 @@ class _Urdf:
         if word == "continuous" or limit is None or not {"lower", "upper"} & set(limit.attributes):
             return -math.inf, math.inf
         is_angle = word == "revolute"
-        lower, upper = (
-            self._number(limit, end, 0.0, LIMIT if is_angle else None) for end in ("lower", "upper")
-        )
+        lower, upper = (self._number(limit, end, 0.0, LIMIT if is_angle else None) for end in ("lower", "upper"))
         if lower > upper:
             raise self._error(joint, f"joint {name}: lower limit {lower:g} is above upper limit {upper:g}")
         return (lower, upper) if lower < upper else (-math.inf, math.inf)
@@ -191,9 +176,7 @@ class _Urdf:
         if inertial is None or weighed is None or mass <= 0.0:
             return None
         given = inertial.first("inertia")
-        xx, yy, zz, xy, xz, yz = (
-            self._number(given, key, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        )
+        xx, yy, zz, xy, xz, yz = (self._number(given, key, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
         own, name = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), link.attributes["name"]
         possible = possible_inertia(own)
         if np.abs(possible - own).max() > ROUNDED_INERTIA * np.abs(own).max():
@@ -225,9 +208,7 @@ class _Urdf:
             angles.append(exact)
         return angles
 
-    def _vector(
-        self, element: Element, key: str, default: tuple[float, float, float], rule: Rule | None = None
-    ) -> Array:
+    def _vector(self, element: Element, key: str, default: tuple[float, float, float], rule: Rule | None = None) -> Array:
         if key not in element.attributes:
             return np.array(default)
         parts = element.attributes[key].split()
@@ -257,14 +238,9 @@ class _Urdf:
             value = math.nan
         if not math.isfinite(value):
             remedy = " (decimals have a point, and spaces part the numbers)" if "," in text else ""
-            raise self._error(
-                element, f"<{element.tag}> {key}: expected a finite number, got {text[:40]!r}{remedy}"
-            )
+            raise self._error(element, f"<{element.tag}> {key}: expected a finite number, got {text[:40]!r}{remedy}")
         if rule is not None and not rule.holds(value):
-            raise self._error(
-                element,
-                f"<{element.tag}> {key}: expected {rule.expected}, got {text[:40]} ({rule.remedy(value)})",
-            )
+            raise self._error(element, f"<{element.tag}> {key}: expected {rule.expected}, got {text[:40]} ({rule.remedy(value)})")
         return value
 
 

@@ -115,8 +115,7 @@ class Bounds:
     def _checked(name: str, unit: str, bound: float) -> float:
         if not (math.isfinite(bound) and bound > 0):
             raise CalibrationError(
-                f"bound of {name}: expected a positive number of {unit}, got {bound};"
-                " to exclude a parameter, fix it"
+                f"bound of {name}: expected a positive number of {unit}, got {bound}; to exclude a parameter, fix it"
             )
         return bound
 

@@ -10,14 +10,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel, Bounds
 from calib.arm_problem.frames import Frame, cross_matrix, rotation_of
-from calib.arm_problem.joint_effects import (
-    FOLLOW_LOADS,
-    corrections,
-    effect_key,
-    known_corrections,
-    resting_points,
-    with_effects,
-)
+from calib.arm_problem.joint_effects import FOLLOW_LOADS, corrections, effect_key, known_corrections, resting_points, with_effects
 from calib.arm_problem.link_bending import FLEXURE, known_bending
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.posed import TARGET
@@ -56,9 +49,7 @@ def started_tool(model: ArmModel, observed: Observations) -> Array:
         else:
             rows.append(turns - turns.mean(axis=0))
             wanted.append(tips.mean(axis=0) - tips)
-    step, *_ = np.linalg.lstsq(
-        np.concatenate(rows).reshape(-1, 3), np.concatenate(wanted).ravel(), rcond=WEAK
-    )
+    step, *_ = np.linalg.lstsq(np.concatenate(rows).reshape(-1, 3), np.concatenate(wanted).ravel(), rcond=WEAK)
     unplaced = [group for group in groups if not known[group[0]]]
     if unplaced and all(len(group) == 1 for group in unplaced):
         step = _with_frames(slopes.tips, slopes.by_tool, observed)
@@ -84,9 +75,7 @@ def _with_frames(tips: Array, by_tool: Array, observed: Observations) -> Array:
             if not frame.is_placed:
                 arms = references - references.mean(axis=0)
                 turns = np.array([-cross_matrix(arm) for arm in arms])
-                motions = np.concatenate((np.broadcast_to(np.eye(3), turns.shape), turns), axis=2).reshape(
-                    -1, 6
-                )
+                motions = np.concatenate((np.broadcast_to(np.eye(3), turns.shape), turns), axis=2).reshape(-1, 6)
                 flat = columns[rows].reshape(-1, 3)
                 columns[rows] = (flat - motions @ np.linalg.lstsq(motions, flat)[0]).reshape(-1, 3, 3)
         move, *_ = np.linalg.lstsq(columns.reshape(-1, 3), left.ravel(), rcond=WEAK)
@@ -99,9 +88,7 @@ def _with_frames(tips: Array, by_tool: Array, observed: Observations) -> Array:
 def _placed(frame: Frame, positions_m: Array, tips_m: Array) -> Frame:
     """The frame where its positions fit these tips best."""
     motion = best_motion(positions_m, tips_m)
-    return dataclasses.replace(
-        frame, rotation=frozen(motion.rotation), origin_m=frozen(motion.shift_m), is_placed=True
-    )
+    return dataclasses.replace(frame, rotation=frozen(motion.rotation), origin_m=frozen(motion.shift_m), is_placed=True)
 
 
 def with_started_frames(model: ArmModel, observed: Observations, tool_m: Array) -> Observations:
@@ -130,14 +117,7 @@ ORIENTATION_NOISE_rad = 0.002
 NEARBY = 1e-3  # of a bound: a few micrometres, some tens of microradians, where loads are straight
 CAMERA = "camera"
 FREEABLE = (BASE, CAMERA, "table", "tool")
-BASE_FRAME = (
-    "x_m",
-    "y_m",
-    "z_m",
-    "rx_rad",
-    "ry_rad",
-    "rz_rad",
-)  # the effect's parameters: move, rotation vector
+BASE_FRAME = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")  # the effect's parameters: move, rotation vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,11 +149,7 @@ class Choice:
         is_tied = _has_base_frame(arm) or _is_tied_by_table(arm)
         is_measured = bool(np.isfinite(points.tip_m).all(axis=1).any())
         is_asked_for = BASE in self.freed or BASE in self.fixed
-        return (
-            replace(self, freed=(*self.freed, BASE))
-            if is_measured and not (is_tied or is_asked_for)
-            else self
-        )
+        return replace(self, freed=(*self.freed, BASE)) if is_measured and not (is_tied or is_asked_for) else self
 
     def __post_init__(self) -> None:
         """CalibrationError for a name that cannot be freed."""
@@ -184,16 +160,12 @@ class Choice:
                 " unless they are fixed"
             )
         if CAMERA in self.freed and (BASE in self.freed or BASE in self.fixed):
-            raise CalibrationError(
-                "tips in a camera's frame say nothing about the base frame: neither fix nor free base"
-            )
+            raise CalibrationError("tips in a camera's frame say nothing about the base frame: neither fix nor free base")
         if BASE in self.freed and BASE in self.fixed:
             raise CalibrationError("the base frame cannot be both fixed and free: omit one of the two")
 
 
-def problem_of(
-    arm: Arm, points: Points, choice: Choice | None = None, shaped: Arm | None = None
-) -> ArmProblem:
+def problem_of(arm: Arm, points: Points, choice: Choice | None = None, shaped: Arm | None = None) -> ArmProblem:
     """The identification problem of the points. UnusablePointsError for a pose without a reference.
 
     `shaped`: the arm at whose geometry and loads effects are evaluated, such as that of an identification before; else `arm`.
@@ -220,9 +192,7 @@ def followed(arm: Arm, points: Points, problem: ArmProblem, at: ModelValues) -> 
     loose gear has no such slope: it jumps. Empty where nothing follows loads.
     """
     steady = replace(arm, effects=tuple(one for one in arm.effects if one.effect != "backlash"))
-    if not any(one.effect in FOLLOW_LOADS for one in steady.effects) and not any(
-        one.over == "load_Nm" for one in steady.maps
-    ):
+    if not any(one.effect in FOLLOW_LOADS for one in steady.effects) and not any(one.over == "load_Nm" for one in steady.maps):
         return {}
     here = resting_points(steady, points).joint_rad
     by_joint = problem.model.slopes(at.dh, here, at.tool_m).by_dh[:, :, list(problem.model.theta_places)]

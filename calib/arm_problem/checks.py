@@ -49,9 +49,7 @@ def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> tuple[str
     return tuple(one.in_words() for one in doubts)
 
 
-def require_usable(
-    arm: Arm, points: Points, problem: ArmProblem, choice: Choice | None = None
-) -> tuple[str, ...]:
+def require_usable(arm: Arm, points: Points, problem: ArmProblem, choice: Choice | None = None) -> tuple[str, ...]:
     """`require_of_arm`, and enough points for a calibration: not too few places, not all on a line."""
     require_finite(problem.observed.q_rad, problem.observed.position_m)
     _require_count(problem.observed.q_rad, problem.references_m)
@@ -72,18 +70,14 @@ def require_sound(problem: ArmProblem) -> None:
 
 def require_finite(q_rad: Array, position_m: Array) -> None:
     """UnusablePointsError that names the first angle or coordinate that is not a finite number."""
-    for values, names in (
-        (q_rad, [f"q{j + 1}_rad" for j in range(q_rad.shape[1])]),
-        (position_m, ["x_m", "y_m", "z_m"]),
-    ):
+    for values, names in ((q_rad, [f"q{j + 1}_rad" for j in range(q_rad.shape[1])]), (position_m, ["x_m", "y_m", "z_m"])):
         bad = np.argwhere(~np.isfinite(values))
         if len(bad):
             row, column = bad[0]
             what = "joint angle" if values is q_rad else "tip position"
             rows = len(set(bad[:, 0].tolist()))
             raise UnusablePointsError(
-                f"{what} of point {row + 1} ({names[column]}) is not a finite number ({rows} such"
-                f" point{'s' if rows > 1 else ''})"
+                f"{what} of point {row + 1} ({names[column]}) is not a finite number ({rows} such point{'s' if rows > 1 else ''})"
             )
 
 
@@ -99,9 +93,7 @@ def _require_spread(q_rad: Array, references_m: Array) -> None:
     """Refuse points on one line, unless the same place was recorded in several postures."""
     spread = np.linalg.svd(references_m - references_m.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_TOLERANCE * spread[0] and not _has_several_postures(q_rad, references_m):
-        raise UnusablePointsError(
-            "all points lie on one straight line: record points that span an area, such as the circle"
-        )
+        raise UnusablePointsError("all points lie on one straight line: record points that span an area, such as the circle")
 
 
 def _has_several_postures(q_rad: Array, references_m: Array) -> bool:
@@ -133,9 +125,7 @@ def _copies(points: Points) -> tuple[str, ...]:
             seen[key] = row
     if not copies:
         return ()
-    listed_rows = ", ".join(
-        f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies[:3]
-    )
+    listed_rows = ", ".join(f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies[:3])
     more = f" and {len(copies) - 3} more" if len(copies) > 3 else ""
     warning = f"poses {listed_rows}{more} are identical to the last digit: they are copies, not repeats, and add no information"
     if len(copies) >= COPIES_SHARE * len(points) and not points.is_as_given:

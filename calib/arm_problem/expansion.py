@@ -181,9 +181,7 @@ def frame_curvature(arms: Array, weight: Array, turn_rad: Array) -> Array:
     """
     turns = left_jacobian(turn_rad)
     moments = weight @ arms  # sum of weight arm'
-    torque = np.array(
-        [moments[2, 1] - moments[1, 2], moments[0, 2] - moments[2, 0], moments[1, 0] - moments[0, 1]]
-    )
+    torque = np.array([moments[2, 1] - moments[1, 2], moments[0, 2] - moments[2, 0], moments[1, 0] - moments[0, 1]])
     found = turns.T @ (moments.T - np.trace(moments) * np.eye(3)) @ turns + turned_slope(turn_rad, torque)
     return np.asarray(0.5 * (found + found.T))
 

@@ -68,9 +68,7 @@ def rotation_of(vector_rad: Array) -> Array:
     cross = cross_matrix(vector_rad)
     if angle < 1e-8:
         return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
-    return np.asarray(
-        np.eye(3) + np.sin(angle) / angle * cross + (1.0 - np.cos(angle)) / angle**2 * cross @ cross
-    )
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * cross + (1.0 - np.cos(angle)) / angle**2 * cross @ cross)
 
 
 def rotation_vector(rotation: Array) -> Array:
@@ -92,11 +90,7 @@ def left_jacobian(vector_rad: Array) -> Array:
     cross = cross_matrix(vector_rad)
     if angle < 1e-4:
         return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
-    return np.asarray(
-        np.eye(3)
-        + (1.0 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
+    return np.asarray(np.eye(3) + (1.0 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross)
 
 
 def turned_slope(vector_rad: Array, torque: Array) -> Array:

@@ -40,16 +40,7 @@ from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.dynamics.static_pose import RestingPose, resting
 from control.kinematics.smooth_table import pieces
 from control.model.arm import Arm, Effect
-from control.model.effects import (
-    COUPLED,
-    COUPLED_TO,
-    EFFECTS,
-    backlash_rad,
-    compliance_rad,
-    linear_values,
-    moved_joint,
-    place_of,
-)
+from control.model.effects import COUPLED, COUPLED_TO, EFFECTS, backlash_rad, compliance_rad, linear_values, moved_joint, place_of
 from control.model.maps import CorrectionMap
 
 if TYPE_CHECKING:
@@ -81,11 +72,7 @@ def _corrections(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> tuple[Co
                 whole = _of_joint(slope, joint, arm.joint_count)
                 bent = at.bent(key[1] or 0) if term.is_of_tip else None
                 tip, turn = (None, None) if bent is None else map(frozen, bent)
-                made.append(
-                    Correction(
-                        term.name(key[1]), term.unit, whole, term.bound, start, slope_m=tip, turn_rad=turn
-                    )
-                )
+                made.append(Correction(term.name(key[1]), term.unit, whole, term.bound, start, slope_m=tip, turn_rad=turn))
     return tuple(made)
 
 
@@ -147,10 +134,7 @@ def with_effects(arm: Arm, values: Mapping[str, float]) -> Arm:
     known = {(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
     replaced = set(_gathered(values))
     others = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
-    found = [
-        Effect(e.effect, e.joint, {**known.get((e.effect, e.joint), {}), **e.parameters})
-        for e in effects_of(values)
-    ]
+    found = [Effect(e.effect, e.joint, {**known.get((e.effect, e.joint), {}), **e.parameters}) for e in effects_of(values)]
     return dataclasses.replace(arm, effects=(*others, *found))
 
 
@@ -385,15 +369,11 @@ LAWS: Final[Mapping[str, tuple[LawTerm, ...]]] = {
     ),
     "joint_compliance": (
         LawTerm("compliance", "", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.gravity_Nm(j), 1.0)),
-        LawTerm(
-            "compliance", "_held", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.held_Nm(j), 1.0), True
-        ),
+        LawTerm("compliance", "_held", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.held_Nm(j), 1.0), True),
     ),
     COUPLING: (LawTerm(COUPLING, "", "1", 0.1, lambda at, j: at.q_rad(COUPLED_TO)),),
     DRIFT: (LawTerm(DRIFT, "", "rad", 0.05, lambda at, j: at.warmed(j)),),
-    FLEXURE: (
-        LawTerm("flexure", "", "1/(N m2)", 0.1, lambda at, k: np.zeros(len(at.points)), is_of_tip=True),
-    ),
+    FLEXURE: (LawTerm("flexure", "", "1/(N m2)", 0.1, lambda at, k: np.zeros(len(at.points)), is_of_tip=True),),
 }
 
 
@@ -408,17 +388,10 @@ def spline_columns(count: int, lower: float, upper: float, is_periodic: bool, x:
     from scipy import sparse
 
     piece, t = _place(count, lower, upper, is_periodic, x)
-    weights = (
-        np.array(
-            [(1.0 - t) ** 3, 3.0 * t**3 - 6.0 * t**2 + 4.0, -3.0 * t**3 + 3.0 * t**2 + 3.0 * t + 1.0, t**3]
-        )
-        / 6.0
-    )
+    weights = np.array([(1.0 - t) ** 3, 3.0 * t**3 - 6.0 * t**2 + 4.0, -3.0 * t**3 + 3.0 * t**2 + 3.0 * t + 1.0, t**3]) / 6.0
     nodes = piece + np.arange(-1, 3)[:, None]
     rows = np.broadcast_to(np.arange(len(x)), nodes.shape)
-    return sparse.csr_array(
-        (weights.ravel(), (rows.ravel(), _inside(nodes, count, is_periodic).ravel())), (len(x), count)
-    )
+    return sparse.csr_array((weights.ravel(), (rows.ravel(), _inside(nodes, count, is_periodic).ravel())), (len(x), count))
 
 
 def node_values(coefficients: Array, is_periodic: bool) -> Array:

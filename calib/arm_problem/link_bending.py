@@ -41,9 +41,7 @@ def _next_turning(arm: Arm, link: int) -> int | None:
 
 def _ends_m(arm: Arm, frames: LinkFrames, link: int) -> tuple[Array, Array]:
     """Clamp and end of the beam, (m, 3) each: at its joint, and at the next joint or the tip."""
-    before = (
-        0 if arm.dh_convention == "modified" else 1
-    )  # a joint is at its own frame's origin, or at the previous one
+    before = 0 if arm.dh_convention == "modified" else 1  # a joint is at its own frame's origin, or at the previous one
     following = _next_turning(arm, link)
     end = frames.tip_m if following is None else frames.origin_m[:, following - before]
     return frames.origin_m[:, link - before], end
@@ -57,23 +55,14 @@ class Bending(NamedTuple):
 
 
 def bending_m(
-    arm: Arm,
-    dh: Array,
-    q_rad: Array,
-    payload_kg: Array,
-    link: int,
-    accelerated: Callable[[Array], Array] | None = None,
+    arm: Arm, dh: Array, q_rad: Array, payload_kg: Array, link: int, accelerated: Callable[[Array], Array] | None = None
 ) -> Array:
     """The displacements of the tip of `bending`, (m, 3) [m N m^2], of a DH table (links, 4) at poses (m, n)."""
     return bending(arm, link_frames(ArmModel(arm), dh, q_rad), payload_kg, link, accelerated).shift
 
 
 def bending(
-    arm: Arm,
-    frames: LinkFrames,
-    payload_kg: Array,
-    link: int,
-    accelerated: Callable[[Array], Array] | None = None,
+    arm: Arm, frames: LinkFrames, payload_kg: Array, link: int, accelerated: Callable[[Array], Array] | None = None
 ) -> Bending:
     """What happens per 1 / EI if `link` (1-based) bends.
 
@@ -113,9 +102,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=1)
 
 
-def _masses(
-    arm: Arm, frames: LinkFrames, payload_kg: Array, link: int
-) -> Iterator[tuple[bool, Array, Array]]:
+def _masses(arm: Arm, frames: LinkFrames, payload_kg: Array, link: int) -> Iterator[tuple[bool, Array, Array]]:
     """For each mass: whether it is beyond the link, its position (m, 3), and its mass (m,)."""
     following = _next_turning(arm, link)
     for k, one in enumerate(arm.links[link - 1 :], start=link):
@@ -132,9 +119,7 @@ def _across(vectors: Array, along: Array) -> Array:
     return np.asarray(vectors - np.sum(vectors * along, axis=1, keepdims=True) * along)
 
 
-def known_bending(
-    arm: Arm, q_rad: Array, payload_kg: Array, left_out: Collection[int | None] = ()
-) -> Bending | None:
+def known_bending(arm: Arm, q_rad: Array, payload_kg: Array, left_out: Collection[int | None] = ()) -> Bending | None:
     """Displacements of the tip [m] and turns of the last link [rad], (m, 3) each, by the flexures that the arm already has.
 
     None if it has none besides those of the links `left_out`.
@@ -180,10 +165,7 @@ def link_frames(model: ArmModel, dh: Array, q_rad: Array, tool_m: Array | None =
         point, turned = origin[:, k], axes[:, k]
         for axis, move, turn in moves[::-1] if model.is_modified else moves:
             point = point + move * turned[:, :, axis]
-            before, after = (
-                turned[:, :, axis - 2],
-                turned[:, :, axis - 1],
-            )  # it turns the first towards the second
+            before, after = (turned[:, :, axis - 2], turned[:, :, axis - 1])  # it turns the first towards the second
             c, s = np.cos(turn), np.sin(turn)
             turned = turned.copy()
             turned[:, :, axis - 2], turned[:, :, axis - 1] = before * c + after * s, after * c - before * s

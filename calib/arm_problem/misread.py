@@ -63,9 +63,7 @@ class Doubt:
 ODD = 0.05  # of the spread, unexplained at nominal: below it no check is made
 NEARER = 4.0  # factor by which another reading must leave less of the spread
 FAR_TIMES = 1.5  # the reach of all bounds together, some 0.1 m: no deviation explains a distance beyond
-WHOLE_PERMUTATIONS_JOINTS = (
-    4  # up to this count all orders of the joints are tried, beyond only swapped pairs
-)
+WHOLE_PERMUTATIONS_JOINTS = 4  # up to this count all orders of the joints are tried, beyond only swapped pairs
 AS_GOOD = 1.5  # readings this close to the best are ambiguous: a mirrored arm has mirrored deviations
 REPORTED_LIMIT = 3
 ROWS_LIMIT = 300  # this many rows suffice
@@ -206,11 +204,7 @@ def _joint_columns(q: Array, position: Array) -> Iterator[Reading]:
     for j, quarter in itertools.product(range(n), (1, 2, 3)):
         shifted = q.copy()
         shifted[:, j] += quarter * math.pi / 2
-        yield (
-            f"q{j + 1}_rad looks {90 * quarter if quarter < 3 else -90} deg short of this arm's zero",
-            shifted,
-            position,
-        )
+        yield (f"q{j + 1}_rad looks {90 * quarter if quarter < 3 else -90} deg short of this arm's zero", shifted, position)
 
 
 def _position_columns(q: Array, position: Array) -> Iterator[Reading]:
@@ -227,9 +221,7 @@ def _position_columns(q: Array, position: Array) -> Iterator[Reading]:
 def _orders(n: int) -> Iterator[list[int]]:
     """Other orders of n columns."""
     if n <= WHOLE_PERMUTATIONS_JOINTS:
-        yield from (
-            list(order) for order in itertools.permutations(range(n)) if list(order) != list(range(n))
-        )
+        yield from (list(order) for order in itertools.permutations(range(n)) if list(order) != list(range(n)))
         return
     for i, j in itertools.combinations(range(n), 2):
         order = list(range(n))
@@ -245,9 +237,7 @@ def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-OFF_rad = (
-    0.35  # mean angle at nominal beyond which they are not this arm's: deviations of 2 deg make a few of them
-)
+OFF_rad = 0.35  # mean angle at nominal beyond which they are not this arm's: deviations of 2 deg make a few of them
 CLOSER = 0.3  # share of that angle below which another reading explains it
 
 
@@ -262,12 +252,7 @@ def doubts_of_turns(problem: ArmProblem, is_as_given: bool = False) -> tuple[Dou
     if off <= OFF_rad:
         return ()
     looks, then_rad, remedy = _explained(problem, off)
-    found = Doubt(
-        looks,
-        f"they would then be {_deg(then_rad)} off the arm's in the mean",
-        f"they are {_deg(off)} off",
-        remedy,
-    )
+    found = Doubt(looks, f"they would then be {_deg(then_rad)} off the arm's in the mean", f"they are {_deg(off)} off", remedy)
     if not is_as_given:
         raise found.refusal()
     return (found,)
@@ -315,10 +300,7 @@ def _turn_readings(problem: ArmProblem) -> Iterator[tuple[str, Array]]:
         return
     given = quaternions(rotation[rows])
     yield "the quaternions look like x, y, z, w", _placed(rotation, rows, matrices(given[:, [3, 0, 1, 2]]))
-    yield (
-        "they look inverted (the frame in the target)",
-        _placed(rotation, rows, np.swapaxes(rotation[rows], 1, 2)),
-    )
+    yield ("they look inverted (the frame in the target)", _placed(rotation, rows, np.swapaxes(rotation[rows], 1, 2)))
 
 
 def _placed(rotation: Array, rows: npt.NDArray[np.intp], turned: Array) -> Array:
@@ -407,9 +389,7 @@ def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tup
     problems = [problem_of(one.arm, some, choice) for one in candidates]
     size = min(_fitted(one, LARGEST).size for one in problems)
     own, *others = [_fitted(one, size) for one in problems]
-    rivals = [
-        (c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * own.left
-    ]
+    rivals = [(c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * own.left]
     if not rivals:
         return ()
     scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (own, *others)))
@@ -436,11 +416,7 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
     """
     for name, other in _supplied():
         if _is_of_kind(other, arm) and not np.allclose(other.dh, arm.dh):
-            yield _Candidate(
-                arm.with_dh(other.dh),
-                f"the arm {name}",
-                f"if they are of {name}, give its file with --arm",
-            )
+            yield _Candidate(arm.with_dh(other.dh), f"the arm {name}", f"if they are of {name}, give its file with --arm")
     yield from _a_tooth_off(arm)
     within_m = [one.bound for one in dh_parameters(arm.dh, bounds)[::4]]
     for links in _subsets([k for k, d in enumerate(arm.dh[:, 0]) if 2.0 * abs(d) > within_m[k]]):
@@ -472,8 +448,7 @@ def _a_tooth_off(arm: Arm) -> Iterator[_Candidate]:
             yield _Candidate(
                 arm.with_dh(dh),
                 f"an arm whose {arm.joint_names[drive.joint - 1]} stands {math.degrees(tooth_rad):+.1f} deg further",
-                "its servo's horn is on another tooth: turn it by one, or set its zero_count to"
-                f" {zero_count}; then record again",
+                f"its servo's horn is on another tooth: turn it by one, or set its zero_count to {zero_count}; then record again",
             )
 
 

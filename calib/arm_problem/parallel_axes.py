@@ -22,9 +22,7 @@ def parallel_joints(arm: Arm) -> tuple[int, ...]:
     """Joints (1-based) whose axis is nearly parallel to the next joint's, without a fixed row between."""
     rows = _rows_of_joints(arm)
     pairs = enumerate(pairwise(rows), start=1)
-    return tuple(
-        joint for joint, (row, after) in pairs if after == row + 1 and _twist(arm, row) < PARALLEL_rad
-    )
+    return tuple(joint for joint, (row, after) in pairs if after == row + 1 and _twist(arm, row) < PARALLEL_rad)
 
 
 def with_tilt_behind(arm: Arm, joint: int) -> Arm:
@@ -63,9 +61,7 @@ def in_the_same_rows(one: Arm, other: Arm) -> tuple[Arm, Arm]:
     for joint in _only_in(one, other):
         other = with_tilt_behind(other, joint)
     if (one.joints, one.dh_convention) != (other.joints, other.dh_convention):
-        raise ArmError(
-            f"arms {one.name} and {other.name} have other rows: no row of one stands for one of the other"
-        )
+        raise ArmError(f"arms {one.name} and {other.name} have other rows: no row of one stands for one of the other")
     return one, other
 
 
@@ -83,9 +79,7 @@ def numbers_before(given: Arm, more: Arm) -> dict[int, int]:
 def _only_in(rows_of: Arm, arm: Arm) -> list[int]:
     """Joints with a fixed row behind them in `rows_of`, and none in `arm` where its axes are parallel."""
     rows = _rows_of_joints(rows_of)
-    return [
-        joint for joint in parallel_joints(arm) if joint < len(rows) and rows[joint] > rows[joint - 1] + 1
-    ]
+    return [joint for joint in parallel_joints(arm) if joint < len(rows) and rows[joint] > rows[joint - 1] + 1]
 
 
 def frame_behind(arm: Arm, joint: int) -> int:

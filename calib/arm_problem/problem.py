@@ -105,8 +105,7 @@ class ArmProblem:
                 for name, unit in zip(frame.parameter_names, AXIS_UNITS, strict=True)
             ]
         found += [
-            Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical)
-            for c in self.observed.corrections
+            Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical) for c in self.observed.corrections
         ]
         return tuple(found)
 
@@ -158,9 +157,7 @@ class ArmProblem:
         for index, move in zip(self._free, moves, strict=True):
             frames[index] = frames[index].moved(self._centres[index], move)
         names = [correction.name for correction in self.observed.corrections]
-        return ModelValues(
-            frozen(dh), frozen(tool), tuple(frames), dict(zip(names, values.tolist(), strict=True))
-        )
+        return ModelValues(frozen(dh), frozen(tool), tuple(frames), dict(zip(names, values.tolist(), strict=True)))
 
     def tips(self, solution: ModelValues) -> Array:
         """Tips of a solution at these poses, (m, 3), base frame, including corrections and flexure."""
@@ -197,9 +194,7 @@ class ArmProblem:
         """Reference minus modelled tip, (m, 3), base frame."""
         dh, tool, moves, values = self._parts(x)
         tips = self.model.tips(dh, self._joint_rad(values, rows), tool)
-        return np.asarray(
-            self._references(moves, rows)[0] - self._bent(tips, values, rows) - self._followed(x, rows)
-        )
+        return np.asarray(self._references(moves, rows)[0] - self._bent(tips, values, rows) - self._followed(x, rows))
 
     def _followed(self, x: Array, rows: slice) -> Array:
         """What effects do at unknowns x beyond their slopes, (m, 3) or 0."""
@@ -260,11 +255,7 @@ class ArmProblem:
         by_model[:, :, 1 : self._tool_at : 4] = slopes.by_dh[:, :, 0::4]
         by_model[:, :, 3 : self._tool_at : 4] = slopes.by_dh[:, :, 2::4]
         theta = list(self.model.theta_places)
-        bent = (
-            np.zeros((len(rows), 3))
-            if self.observed.known_turn_rad is None
-            else self.observed.known_turn_rad[rows]
-        )
+        bent = np.zeros((len(rows), 3)) if self.observed.known_turn_rad is None else self.observed.known_turn_rad[rows]
         for place, correction in enumerate(self.observed.corrections, self._corrections_at):
             by_model[:, :, place] = np.einsum("rij,rj->ri", by_model[:, :, theta], correction.slope_rad[rows])
             if correction.turn_rad is not None:  # some mrad at most: turns add up

@@ -10,26 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from calib.arm_problem.assembly import (
-    BASE,
-    BASE_FRAME,
-    CAMERA,
-    Choice,
-    base_frame_of,
-    followed,
-    problem_of,
-    with_own_base,
-)
+from calib.arm_problem.assembly import BASE, BASE_FRAME, CAMERA, Choice, base_frame_of, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.frames import Frame, rotation_vector
-from calib.arm_problem.joint_effects import (
-    LAWS,
-    effect_key,
-    impossible,
-    unclear_flanks,
-    unphysical,
-    with_effects,
-)
+from calib.arm_problem.joint_effects import LAWS, effect_key, impossible, unclear_flanks, unphysical, with_effects
 from calib.arm_problem.posed import usual_noise_m
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen
@@ -115,22 +99,11 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     judged = verdict(found, held, floor, suspects, points.setup, still_joints(points.q_rad))
     advance("done", 1.0)
     return Calibrated(
-        arm,
-        calibrated_arm(arm, found, points),
-        points,
-        problem,
-        found,
-        suspects,
-        held,
-        floor,
-        judged,
-        (*warnings, *reasons),
+        arm, calibrated_arm(arm, found, points), points, problem, found, suspects, held, floor, judged, (*warnings, *reasons)
     )
 
 
-def identified(
-    arm: Arm, points: Points, plan: CalibrationPlan, rows: Mask | None = None
-) -> tuple[ArmProblem, Identification]:
+def identified(arm: Arm, points: Points, plan: CalibrationPlan, rows: Mask | None = None) -> tuple[ArmProblem, Identification]:
     """What is identified at the points, or at those of a mask (m,), and its problem.
 
     An effect that no part can have is none, and so it is in the file: all else is identified without it. Its value is then zero.
@@ -165,9 +138,7 @@ def identified(
     if none := impossible(found.solution.corrections):
         rest = tuple(text for text in plan.choice.effects if effect_key(text, arm) not in none)
         bare = replace(arm, effects=tuple(one for one in arm.effects if (one.effect, one.joint) not in none))
-        problem, found = identified(
-            bare, points, replace(plan, choice=replace(plan.choice, effects=rest)), rows
-        )
+        problem, found = identified(bare, points, replace(plan, choice=replace(plan.choice, effects=rest)), rows)
         zero = {LAWS[effect][0].name(joint): 0.0 for effect, joint in none}
         solution = replace(found.solution, corrections={**found.solution.corrections, **zero})
         return problem, replace(found, solution=solution)
@@ -228,9 +199,7 @@ def _cavities(arm: Arm) -> Mapping[str, Array]:
     return {name: np.array(place) for name, place in board_cavities(arm.table).items()}
 
 
-def _held_out(
-    arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance
-) -> tuple[HeldOut | None, list[str]]:
+def _held_out(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance) -> tuple[HeldOut | None, list[str]]:
     """The held-out error, or why there is none."""
 
     def done(count: int, total: int) -> None:
@@ -273,13 +242,7 @@ def points_in_base(made: Calibrated) -> Points | None:
 # Results of a calibration besides the report: the calibrated arm.toml and calibration.json.
 
 
-def write_calibrated_arm(
-    path: Path,
-    nominal: Arm,
-    found: Identification,
-    made: Provenance,
-    points: Points | None = None,
-) -> Arm:
+def write_calibrated_arm(path: Path, nominal: Arm, found: Identification, made: Provenance, points: Points | None = None) -> Arm:
     """Save the arm with the identified parameters (`calibrated_arm`) as a new file, and return it.
 
     The nominal arm's file is not changed; an existing file at `path` is refused (ArmFileError).
@@ -338,19 +301,14 @@ def write_calibration_json(
     content["verification"] = None
     if verification is not None:
         content["verification"] = {
-            entry.setup: entries(entry, "before", "after", "improvement_percent")
-            for entry in verification.by_setup()
+            entry.setup: entries(entry, "before", "after", "improvement_percent") for entry in verification.by_setup()
         }
     write_json(path, content | dict(more or {}))
 
 
 def _found(found: Identification) -> dict[str, object]:
     return {
-        "objective": {
-            "name": found.objective,
-            "before": found.objective_before,
-            "after": found.objective_after,
-        },
+        "objective": {"name": found.objective, "before": found.objective_before, "after": found.objective_after},
         "points": len(found.error_after_m),
         "mean_error_m": {"before": found.mean_before_m, "after": found.mean_after_m},
         "noise_m": found.noise_m,
@@ -366,10 +324,7 @@ def _found(found: Identification) -> dict[str, object]:
         if found.orientation is None
         else {
             "points": len(found.orientation.rows),
-            "mean_error_rad": {
-                "before": found.orientation.mean_before_rad,
-                "after": found.orientation.mean_after_rad,
-            },
+            "mean_error_rad": {"before": found.orientation.mean_before_rad, "after": found.orientation.mean_after_rad},
             "target_rotation": found.orientation.target.round(DECIMALS),  # link_R_target
         },
         "frames": {

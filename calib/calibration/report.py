@@ -42,11 +42,7 @@ def summary_text(made: Calibrated) -> str:
     ]
     suspicious = made.suspects.in_words()
     if suspicious:
-        lines += [
-            "",
-            "Suspicious, but used (exclude with --without SETUP:POINT):",
-            *suspicious,
-        ]
+        lines += ["", "Suspicious, but used (exclude with --without SETUP:POINT):", *suspicious]
     lines += ["", *found.in_words(), "", parameter_text(made)]
     return "\n".join(lines) + "\n"
 
@@ -56,10 +52,7 @@ def parameter_text(made: Calibrated) -> str:
     rows = estimate_lines(of_the_arm(made.found))
     free = [frame for frame in made.found.solution.frames if frame.is_free]
     if free:
-        rows += [
-            "",
-            f"{'frame':<20}{'x [mm]':>10}{'y [mm]':>10}{'z [mm]':>10}   rotation about x, y, z [deg]",
-        ]
+        rows += ["", f"{'frame':<20}{'x [mm]':>10}{'y [mm]':>10}{'z [mm]':>10}   rotation about x, y, z [deg]"]
         rows += [_frame_line(frame) for frame in free]
     return "\n".join(rows)
 
@@ -205,6 +198,5 @@ def _held_section(held: HeldOut) -> Section:
     header = ("held out", "points", "mean before [mm]", "mean after [mm]", "RMS after [mm]", "max after [mm]")
     return Section(
         "Held-out points",
-        paragraph(f"Each row: {what} at the held-out points, identified from all others.")
-        + table(header, [*rows, total]),
+        paragraph(f"Each row: {what} at the held-out points, identified from all others.") + table(header, [*rows, total]),
     )

@@ -58,11 +58,7 @@ class Alignment:
 
     def in_words(self) -> str:
         """A sentence for the operator."""
-        rate = (
-            f", and runs {1e6 * self.rate:+.1f} ppm (sd {1e6 * self.rate_sd:.1f}) against it"
-            if self.rate_sd
-            else ""
-        )
+        rate = f", and runs {1e6 * self.rate:+.1f} ppm (sd {1e6 * self.rate_sd:.1f}) against it" if self.rate_sd else ""
         return (
             f"the capture begins at {self.offset_s:.4f} s (sd {1e3 * self.offset_sd_s:.2f} ms) of the encoders' clock{rate};"
             f" speeds correlate by {self.correlation:.3f}, positions in motion agree to {1e3 * self.residual_m:.1f} mm"
@@ -82,9 +78,7 @@ def _coarse(motion: JointMotion, tips: Array, capture_s: Array, body: BodyTrack)
     ours, begin_s = _gridded(motion.t_s, tips, np.ones(len(tips), dtype=bool))
     theirs, their_begin_s = _gridded(capture_s, body.position_m, body.is_seen)
     if not len(theirs) or np.isfinite(theirs).sum() * STEP_s < LEAST_OVERLAP_s:
-        raise CaptureError(
-            f"the body is seen for less than {LEAST_OVERLAP_s:g} s: too little to find the time"
-        )
+        raise CaptureError(f"the body is seen for less than {LEAST_OVERLAP_s:g} s: too little to find the time")
     score = _scores(ours, theirs)
     best = int(np.argmax(score))
     lag_s = (np.arange(len(score)) - (len(theirs) - 1)) * STEP_s
@@ -114,10 +108,7 @@ def _gridded(t_s: Array, places: Array, seen: Mask) -> tuple[Array, float]:
         return np.zeros(0), 0.0
     grid = np.arange(t_s[0], t_s[-1], STEP_s)
     half = 2.5 * STEP_s
-    ends = [
-        np.column_stack([np.interp(grid + s, t_s[known], places[known, k]) for k in range(3)])
-        for s in (half, -half)
-    ]
+    ends = [np.column_stack([np.interp(grid + s, t_s[known], places[known, k]) for k in range(3)]) for s in (half, -half)]
     speed = norms(ends[0] - ends[1]) / (2.0 * half)
     after = np.clip(np.searchsorted(t_s[known], grid), 1, len(known) - 1)
     is_gap = t_s[known][after] - t_s[known][after - 1] > 4.0 * STEP_s
@@ -165,16 +156,12 @@ class _Overlap:
         return float(np.ptp(self.tau_s)) >= RATE_FROM_s
 
 
-def _overlap(
-    model: ArmModel, motion: JointMotion, capture_s: Array, body: BodyTrack, offset_s: float
-) -> _Overlap:
+def _overlap(model: ArmModel, motion: JointMotion, capture_s: Array, body: BodyTrack, offset_s: float) -> _Overlap:
     rows = np.flatnonzero(body.is_seen & (motion.covers(offset_s + capture_s) > 0.0))
     rows = rows[:: max(1, len(rows) // FRAMES)]
     span_s = float(np.ptp(capture_s[rows])) if len(rows) else 0.0
     if span_s < LEAST_OVERLAP_s:
-        raise CaptureError(
-            f"log and capture overlap by {span_s:.1f} s: {LEAST_OVERLAP_s:g} s are needed at least"
-        )
+        raise CaptureError(f"log and capture overlap by {span_s:.1f} s: {LEAST_OVERLAP_s:g} s are needed at least")
     return _Overlap(model, motion, body.position_m[rows], capture_s[rows], offset_s)
 
 
@@ -229,9 +216,7 @@ def _weights(residual: Array) -> tuple[float, Array]:
 
 def _prior(model: ArmModel, is_long: bool) -> Array:
     """Sizes of the unknowns: DH, body, frame (shift, turn), offset, rate; a rate that a short recording cannot tell is none."""
-    dh = 0.5 * np.tile(
-        [LENGTH_BOUND_m, ANGLE_BOUND_rad, LENGTH_BOUND_m, ANGLE_BOUND_rad], len(model.nominal_dh)
-    )
+    dh = 0.5 * np.tile([LENGTH_BOUND_m, ANGLE_BOUND_rad, LENGTH_BOUND_m, ANGLE_BOUND_rad], len(model.nominal_dh))
     rate = RATE if is_long else 1e-12
     return np.concatenate((dh, [BODY_m] * 3, [FRAME_m] * 3, [np.pi] * 3, [1.0, rate]))
 
@@ -288,11 +273,7 @@ class JointMotion:
         first = after_leaps(t_s, q_rad)
         if len(t_s) - first < 10:
             raise CaptureError(f"{log.sources[0]}: an angle leaps at its end: nothing is left behind it")
-        said = (
-            (f"the log before {t_s[first]:.2f} s is not used: an angle leaps there, as by homing",)
-            if first
-            else ()
-        )
+        said = (f"the log before {t_s[first]:.2f} s is not used: an angle leaps there, as by homing",) if first else ()
         return cls(t_s[first:], q_rad[first:], _speeds(t_s[first:], q_rad[first:])), said
 
     def at(self, t_s: Array) -> tuple[Array, Array]:
@@ -346,8 +327,5 @@ def begins_s(runs: Sequence[LoggedRun]) -> list[float]:
 def _speeds(t_s: Array, values: Array) -> Array:
     """Difference quotients over SLOPE_s around each sample."""
     before, after = np.maximum(t_s - 0.5 * SLOPE_s, t_s[0]), np.minimum(t_s + 0.5 * SLOPE_s, t_s[-1])
-    columns = [
-        (np.interp(after, t_s, column) - np.interp(before, t_s, column)) / (after - before)
-        for column in values.T
-    ]
+    columns = [(np.interp(after, t_s, column) - np.interp(before, t_s, column)) / (after - before) for column in values.T]
     return np.column_stack(columns)

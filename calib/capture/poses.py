@@ -51,14 +51,11 @@ def believed(capture: Capture, bodies: dict[str, BodyTrack]) -> tuple[dict[str, 
     watch, said = LeapWatch(), dict[str, None]()
     wrong = {name: np.zeros(len(capture.t_s), dtype=bool) for name in bodies}
     tracks = [
-        (name, body.is_seen.tolist(), body.position_m.tolist(), _quaternions(body).tolist())
-        for name, body in bodies.items()
+        (name, body.is_seen.tolist(), body.position_m.tolist(), _quaternions(body).tolist()) for name, body in bodies.items()
     ]
     for k in range(len(capture.t_s)):
         seen = [
-            SeenBody(name, RigidPose(tuple(places[k]), tuple(turns[k])))
-            for name, is_seen, places, turns in tracks
-            if is_seen[k]
+            SeenBody(name, RigidPose(tuple(places[k]), tuple(turns[k]))) for name, is_seen, places, turns in tracks if is_seen[k]
         ]
         watch.look(BodyFrame(k, tuple(seen)))
         for name in bodies:
@@ -78,9 +75,7 @@ def _quaternions(body: BodyTrack) -> Array:
 
 def _without(body: BodyTrack, wrong: Array) -> BodyTrack:
     place = np.where(wrong[:, None], np.nan, body.position_m)
-    return BodyTrack(
-        place, None if body.rotation is None else np.where(wrong[:, None, None], np.nan, body.rotation)
-    )
+    return BodyTrack(place, None if body.rotation is None else np.where(wrong[:, None, None], np.nan, body.rotation))
 
 
 def poses_at_rest(
@@ -95,9 +90,7 @@ def poses_at_rest(
             continue
         seen = rows[body.is_seen[rows]]
         if len(seen) < max(FRAMES_LEAST, SEEN_LEAST * len(rows)):
-            left_out.append(
-                f"rest at {begin_s:.1f} s: the body is hidden in {len(rows) - len(seen)} of {len(rows)} frames"
-            )
+            left_out.append(f"rest at {begin_s:.1f} s: the body is hidden in {len(rows) - len(seen)} of {len(rows)} frames")
             continue
         found.append(_pose(motion, t_s, seen, body, begin_s))
     if not found:
@@ -148,9 +141,7 @@ def _points(found: list[_Pose], spread_m: Array, spread_rad: Array, frame: str) 
     position = share * spread_m + FLOOR_m**2 * np.eye(3)
     turning = share * spread_rad + FLOOR_rad**2 * np.eye(3)
     m = len(found)
-    covariance = np.concatenate(
-        (triangles(position), triangles(turning) if has_turn else np.full((m, 6), np.nan)), axis=1
-    )
+    covariance = np.concatenate((triangles(position), triangles(turning) if has_turn else np.full((m, 6), np.nan)), axis=1)
     turns = np.array([one.turn for one in found]) if has_turn else np.zeros((0, 3, 3))
     return make_points(
         [SETUP] * m,
@@ -201,9 +192,7 @@ def board_markers(arm: Arm, capture: Capture, setup: str, base_body: str) -> Mar
         if not len(seen):
             continue
         if float(norms(seen.std(axis=0)[None])[0]) > STILL_m:
-            raise CaptureError(
-                f"{capture.path}: marker {full} moves: expected markers that stand in the board's cavities"
-            )
+            raise CaptureError(f"{capture.path}: marker {full} moves: expected markers that stand in the board's cavities")
         names.append(name)
         places.append(placed_m(stream, seen.mean(axis=0)))
     if not names:

@@ -65,9 +65,7 @@ class Capture:
             places = np.stack([self.markers[part] for part in parts])
             return BodyTrack(places[0]) if len(parts) == 1 else fitted_body(name, places)
         there = ", ".join([*self.bodies, *self.markers]) or "none"
-        raise CaptureError(
-            f'{self.path}: no body "{name}": expected one of {there}, or three or more markers joined by "+"'
-        )
+        raise CaptureError(f'{self.path}: no body "{name}": expected one of {there}, or three or more markers joined by "+"')
 
 
 def fitted_body(name: str, places_m: Array) -> BodyTrack:
@@ -101,9 +99,7 @@ def _shape(name: str, places_m: Array) -> Array:
     x, other = mean[1] - mean[0], mean[2] - mean[0]
     z = np.cross(x, other)
     if np.linalg.norm(z) < IN_LINE * np.linalg.norm(x) * np.linalg.norm(other):
-        raise CaptureError(
-            f'body "{name}": its first three markers lie on one line: no orientation follows from them'
-        )
+        raise CaptureError(f'body "{name}": its first three markers lie on one line: no orientation follows from them')
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     return np.asarray(mean @ np.column_stack((x, np.cross(z, x), z)))
 
@@ -143,9 +139,7 @@ def relative(body: BodyTrack, base: BodyTrack) -> BodyTrack:
     left, _, right = np.linalg.svd(base.rotation[rows].mean(axis=0))
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     origin = base.position_m[rows].mean(axis=0)
-    return BodyTrack(
-        (body.position_m - origin) @ turn, None if body.rotation is None else turn.T @ body.rotation
-    )
+    return BodyTrack((body.position_m - origin) @ turn, None if body.rotation is None else turn.T @ body.rotation)
 
 
 # Vicon's CSV export (Tracker, Nexus): sections of a title, the rate, names, columns, units, and frames.
@@ -158,11 +152,7 @@ def relative(body: BodyTrack, base: BodyTrack) -> BodyTrack:
 
 
 OF_BODIES, OF_MARKERS = ("Objects", "Segments"), ("Trajectories",)
-LAYOUTS = {
-    ("RX", "RY", "RZ", "TX", "TY", "TZ"): 3,
-    ("RX", "RY", "RZ", "RW", "TX", "TY", "TZ"): 4,
-    ("X", "Y", "Z"): 0,
-}
+LAYOUTS = {("RX", "RY", "RZ", "TX", "TY", "TZ"): 3, ("RX", "RY", "RZ", "RW", "TX", "TY", "TZ"): 4, ("X", "Y", "Z"): 0}
 CSV_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.pi / 180.0, "rad": 1.0, "": 1.0}
 FASTEST_Hz = 10_000.0
 Line = tuple[int, list[str]]
@@ -182,30 +172,22 @@ def read_vicon_csv(path: Path) -> Capture:
                 clock.append((rate_Hz, frames))
                 (bodies if title in OF_BODIES else markers).update(found)  # type: ignore[arg-type]
     if not clock:
-        raise CaptureError(
-            f"{path}: no section Objects, Segments or Trajectories: expected a CSV as Tracker or Nexus exports it"
-        )
+        raise CaptureError(f"{path}: no section Objects, Segments or Trajectories: expected a CSV as Tracker or Nexus exports it")
     rate_Hz, frames = clock[0]
     if any(rate != rate_Hz or not np.array_equal(other, frames) for rate, other in clock[1:]):
         raise CaptureError(f"{path}: its sections have other rates or frames: export them together")
     return Capture(path, (frames - frames[0]) / rate_Hz, bodies, markers)
 
 
-def _section(
-    path: Path, number: int, lines: Iterator[Line]
-) -> tuple[float, Array, dict[str, BodyTrack | Array]]:
+def _section(path: Path, number: int, lines: Iterator[Line]) -> tuple[float, Array, dict[str, BodyTrack | Array]]:
     """Rate, frame numbers, and what is in a section; `number` is the line of its title."""
     head = [next(lines, (number + k, list[str]())) for k in range(1, 5)]
     rate_Hz = _number(path, head[0][0], head[0][1][0] if head[0][1] else "")
     if not 0.0 < rate_Hz <= FASTEST_Hz:
-        raise CaptureError(
-            f"{path}, line {head[0][0]}: got a rate of {rate_Hz:g} Hz, expected up to {FASTEST_Hz:g}"
-        )
+        raise CaptureError(f"{path}, line {head[0][0]}: got a rate of {rate_Hz:g} Hz, expected up to {FASTEST_Hz:g}")
     (_, names), (at, columns), (_, units) = head[1:]
     if [column.lower() for column in columns[:2]] != ["frame", "sub frame"]:
-        raise CaptureError(
-            f"{path}, line {at}: expected the columns Frame, Sub Frame, ..., got {', '.join(columns[:3])}"
-        )
+        raise CaptureError(f"{path}, line {at}: expected the columns Frame, Sub Frame, ..., got {', '.join(columns[:3])}")
     groups = _groups(path, at, names, columns)
     rows, last = list[list[float]](), -math.inf
     for line, row in lines:
@@ -221,9 +203,7 @@ def _section(
             raise CaptureError(f"{path}: more than {FRAMES_MOST} frames: cut the recording")
     if not rows:
         raise CaptureError(f"{path}, line {at}: a section without frames")
-    factors = np.array(
-        [_factor(path, at + 1, unit) for unit in [*units, *[""] * len(columns)][: len(columns)]]
-    )
+    factors = np.array([_factor(path, at + 1, unit) for unit in [*units, *[""] * len(columns)][: len(columns)]])
     table = np.array(rows) * factors
     return rate_Hz, np.array(rows)[:, 0], {name: _track(table[:, a:b], turn) for name, a, b, turn in groups}
 
@@ -327,9 +307,7 @@ def _read(path: Path, content: bytes) -> Capture:
     begin = (round(_one(path, parameters, "POINT:DATA_START") or words[8]) - 1) * BLOCK_bytes
     analog = words[2] or _analog(parameters, rate_Hz)
     if not 0.0 < rate_Hz <= FASTEST_Hz or not math.isfinite(scale) or scale == 0.0 or points < 1:
-        raise CaptureError(
-            f"{path}: rate {rate_Hz:g} Hz, scale {scale:g}, {points:g} points: expected a recording of markers"
-        )
+        raise CaptureError(f"{path}: rate {rate_Hz:g} Hz, scale {scale:g}, {points:g} points: expected a recording of markers")
     held = max(0, len(content) - begin) // ((4 * round(points) + analog) * (2 if scale > 0.0 else 4))
     frames, notes = _frames(path, parameters, words[3:5], held)
     table = _values(content, begin, frames, round(points), analog, kind, scale)
@@ -342,9 +320,7 @@ def _read(path: Path, content: bytes) -> Capture:
     return Capture(path, np.arange(frames) / rate_Hz, {}, tracks, notes)
 
 
-def _frames(
-    path: Path, parameters: dict[str, Value], header: tuple[int, ...], held: int
-) -> tuple[int, tuple[str, ...]]:
+def _frames(path: Path, parameters: dict[str, Value], header: tuple[int, ...], held: int) -> tuple[int, tuple[str, ...]]:
     """The most that the file states and holds; a sentence if it states several counts, or holds more frames than it states.
 
     Long recordings state it in POINT:FRAMES or LONG_FRAMES, or in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD, two words
@@ -370,9 +346,7 @@ def _frames(
         said = ", ".join(f"{name} {count}" for name, count in counts.items())
         notes.append(f"{path}: the numbers of frames differ ({said}); {frames} were read")
     if held > (1.0 + SPARE) * frames + 1.0:
-        notes.append(
-            f"{path}: {frames} frames are stated, and there is room for {held}: the rest was not read"
-        )
+        notes.append(f"{path}: {frames} frames are stated, and there is room for {held}: the rest was not read")
     return frames, tuple(notes)
 
 
@@ -402,9 +376,7 @@ def _real(content: bytes, at: int, kind: int) -> float:
     return float(_of_dec(np.frombuffer(content, "<u4", 1, at).astype(np.uint32))[0])
 
 
-def _values(
-    content: bytes, begin: int, frames: int, points: int, analog: int, kind: int, scale: float
-) -> Array:
+def _values(content: bytes, begin: int, frames: int, points: int, analog: int, kind: int, scale: float) -> Array:
     """(frames, points, 4); what follows the points of a frame is analog."""
     order = ">" if kind == MIPS else "<"
     code = f"{order}i2" if scale > 0.0 else f"{order}u4" if kind == DEC else f"{order}f4"
@@ -457,10 +429,7 @@ def _value(content: bytes, at: int, kind: int) -> Value:
     if sort == -1:
         width = sizes[0] if sizes else 1
         text = content[begin : begin + count]
-        return tuple(
-            text[k : k + width].decode("latin-1").strip().strip("\0")
-            for k in range(0, len(text), max(1, width))
-        )
+        return tuple(text[k : k + width].decode("latin-1").strip().strip("\0") for k in range(0, len(text), max(1, width)))
     code = {1: "u1", 2: f"{order}i2", 4: "<u4" if kind == DEC else f"{order}f4"}.get(sort)
     if code is None:
         raise ValueError(f"a parameter of type {sort}")

@@ -72,9 +72,7 @@ class PairFound:
     angles_rad: Array
 
 
-def calibrate_pair(
-    arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, advance: Advance = silent
-) -> PairFound:
+def calibrate_pair(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, advance: Advance = silent) -> PairFound:
     """Identify both arms. UnusablePointsError if the contacts are too few, or are not of these arms."""
     if len(contacts) < CONTACTS_LEAST:
         raise UnusablePointsError(
@@ -91,9 +89,7 @@ def calibrate_pair(
     advance("identifying", 0.1)
     problem, best = _identified(arms, contacts, placed.base, plan)
     x = best.x
-    found = uncertainty(
-        problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x)
-    )
+    found = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x))
     calibrated, base = problem.solution(x)
     held = _held_out(arms, contacts, plan, advance)
     advance("done", 1.0)
@@ -113,48 +109,30 @@ def calibrate_pair(
 
 
 def choose_contacts(
-    arms: tuple[Arm, Arm],
-    contacts: Contacts,
-    plan: PairPlan,
-    count: int,
-    noise_m: float,
-    base: Frame | None = None,
+    arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, count: int, noise_m: float, base: Frame | None = None
 ) -> list[int]:
     """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first.
 
     `base`: where the second arm stands; None: where the contacts fit best.
     """
     problem = PairProblem(
-        arms,
-        contacts,
-        base or _placed(arms, contacts).base,
-        bounds=plan.bounds,
-        fixed=plan.fixed,
-        free_tools=plan.free_tools,
+        arms, contacts, base or _placed(arms, contacts).base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools
     )
     x = np.zeros(len(problem.parameters))
     known = determinability(problem.sensitivity(x), problem.parameters)
     rows = problem.of_contacts(x)[1] @ known.basis / noise_m
     rank = known.rank
-    experiment = Experiment(
-        (), frozen(known.basis), frozen(np.eye(rank)), frozen(rows), frozen(np.zeros((1, 3, rank))), False
-    )
+    experiment = Experiment((), frozen(known.basis), frozen(np.eye(rank)), frozen(rows), frozen(np.zeros((1, 3, rank))), False)
     everything = np.arange(len(contacts))
-    return select(
-        experiment, criterion_of("D"), np.zeros(0, dtype=np.intp), [Group("contacts", everything, count)]
-    )
+    return select(experiment, criterion_of("D"), np.zeros(0, dtype=np.intp), [Group("contacts", everything, count)])
 
 
-def _identified(
-    arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan
-) -> tuple[PairProblem, Minimum]:
+def _identified(arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan) -> tuple[PairProblem, Minimum]:
     """The problem and its minimum near the nominal arms.
 
     One search: where the scale is open, noise drives parameters to their bounds, and more starts find only more of the same.
     """
-    problem = PairProblem(
-        arms, contacts, base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools
-    )
+    problem = PairProblem(arms, contacts, base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools)
     wanted = plan.objective
     if isinstance(wanted, Huber):
         robust = minimise(problem, SumOfDistances(), ONE_SEARCH)
@@ -205,9 +183,7 @@ def _unit(rng: np.random.Generator) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _held_out(
-    arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, advance: Advance
-) -> tuple[Array, Array]:
+def _held_out(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, advance: Advance) -> tuple[Array, Array]:
     """Errors of every contact by arms from the others, nominal and calibrated; empty if the others are too few."""
     m = len(contacts)
     before, after = np.zeros(m), np.zeros(m)
@@ -272,9 +248,7 @@ def _joined(angles_rad: Array) -> list[str]:
     """How well the orientation between joined tools fits."""
     if not len(angles_rad):
         return []
-    return [
-        f"Joined tools: {len(angles_rad)} contacts, orientation within {1e3 * _rms(angles_rad):.3f} mrad (rms) after."
-    ]
+    return [f"Joined tools: {len(angles_rad)} contacts, orientation within {1e3 * _rms(angles_rad):.3f} mrad (rms) after."]
 
 
 def _rms(angles_rad: Array) -> float:
@@ -315,13 +289,7 @@ def calibrated_cell(cell: Cell, arms: tuple[Arm, Arm], base: Frame) -> Cell:
     return dataclasses.replace(cell, arms=tuple(made.get(placed.name, placed) for placed in cell.arms))
 
 
-def write_pair(
-    out: Path,
-    nominal: tuple[Arm, Arm],
-    found: PairFound,
-    objective: str,
-    made: Provenance,
-) -> list[Path]:
+def write_pair(out: Path, nominal: tuple[Arm, Arm], found: PairFound, objective: str, made: Provenance) -> list[Path]:
     """Write NAME.toml of both arms and pair.json; return the files."""
     files = [out / f"{name}.toml" for name in (*names_of(nominal), "pair")]
     files[-1] = files[-1].with_suffix(".json")
@@ -351,13 +319,8 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
             | entries(one, "value", "sd", "is_determined", "is_at_bound")
             for one in _own(found)
         },
-        "second_base": {
-            "origin_m": found.base.origin_m,
-            "orientation": quaternions(found.base.rotation[None])[0],
-        },
-        "undetermined": [
-            {"names": group.names, "freedoms": group.freedoms_count} for group in found.known.undetermined
-        ],
+        "second_base": {"origin_m": found.base.origin_m, "orientation": quaternions(found.base.rotation[None])[0]},
+        "undetermined": [{"names": group.names, "freedoms": group.freedoms_count} for group in found.known.undetermined],
         "joined_angle_rms_rad": _rms(found.angles_rad) if len(found.angles_rad) else None,
         "remarks": list(remarks(found)),
         "in_words": open_in_words(found.known.undetermined),

@@ -18,15 +18,7 @@ from calib.closed_chain.pair_problem import Contacts, PairProblem
 from calib.closed_chain.planning import Poses, SharedRoom
 from calib.errors import SessionError
 from calib.points.writer import DISTANCE, Record
-from calib.session.conversation import (
-    Conversation,
-    Message,
-    Recorded,
-    SessionQuestion,
-    SmallMove,
-    Talk,
-    jogged,
-)
+from calib.session.conversation import Conversation, Message, Recorded, SessionQuestion, SmallMove, Talk, jogged
 from calib.session.folder import SessionFolder
 from calib.session.moves import Geometry, JogPort
 from calib.session.plan import Seating, SessionPlan, Target
@@ -147,10 +139,7 @@ class _Conductor(Conversation):
             return
         along = self._station.room.backed_off(self._poses_now())
         refused: ArmError | None = None
-        for off in (
-            self._came_from,
-            along,
-        ):  # the way they came was clear, whatever the arms' models say here
+        for off in (self._came_from, along):  # the way they came was clear, whatever the arms' models say here
             if off is None:
                 continue
             try:
@@ -162,9 +151,7 @@ class _Conductor(Conversation):
                 refused = error
         else:
             why = f": {refused}" if refused else " along their last links"
-            raise SessionError(
-                f"the arms cannot back off from each other{why}. Jog one of them away, then resume"
-            )
+            raise SessionError(f"the arms cannot back off from each other{why}. Jog one of them away, then resume")
         self._came_from, self._is_touching = None, False
         self._folder.lifted(self._standing or self._folder.standing)
 
@@ -236,9 +223,7 @@ class _Conductor(Conversation):
         names = self._station.names
         if jog.arm not in names:
             got = jog.arm or "none"
-            raise SessionError(
-                f"jog: expected one of {', '.join(names)} first, as `jog {names[0]} z -5`, got {got}"
-            )
+            raise SessionError(f"jog: expected one of {', '.join(names)} first, as `jog {names[0]} z -5`, got {got}")
         k = names.index(jog.arm)
         arm = self._station.arms[k]
         arm.creep_to_q(jogged(replace(jog, arm=""), arm, self._station.geometry[k]))
@@ -286,9 +271,7 @@ class ContactWatch:
     def judge(self, q_rad: Sequence[float], distance_m: float) -> RecordVerdict:
         """Compare a contact with the earlier ones. error_m: how far it is from closing by the files, along the first axis."""
         before = [*self._seen.values()]
-        problem = PairProblem(
-            self._arms, self._contacts([*before, _Seen(tuple(q_rad), distance_m)]), self._base
-        )
+        problem = PairProblem(self._arms, self._contacts([*before, _Seen(tuple(q_rad), distance_m)]), self._base)
         open_m = float(problem.errors_m(np.zeros(len(problem.parameters)))[-1])
         error_m = frozen(np.array([open_m, 0.0, 0.0]))
         if len(before) < FEWEST:

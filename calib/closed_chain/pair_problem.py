@@ -134,11 +134,7 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
 
 
 def contact_points(
-    setup: Sequence[str],
-    name: Sequence[str],
-    q_rad: Array,
-    distance_m: Sequence[float],
-    direction: Array | None = None,
+    setup: Sequence[str], name: Sequence[str], q_rad: Array, distance_m: Sequence[float], direction: Array | None = None
 ) -> Points:
     """Contacts as the points of a file: q_rad (m, n1 + n2) as the encoders say, direction likewise."""
     extra = {DISTANCE: tuple(f"{distance:g}" for distance in distance_m)}
@@ -149,9 +145,7 @@ def contact_points(
 def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:
     """Joint angles of one arm, with its known static effects."""
     q, m = points.q_rad[:, columns], len(points)
-    own = make_points(
-        points.setup, points.point, points.repeat, q, np.full((m, 3), np.nan), points.direction[:, columns]
-    )
+    own = make_points(points.setup, points.point, points.repeat, q, np.full((m, 3), np.nan), points.direction[:, columns])
     return np.asarray(q + known_corrections(arm, own))
 
 
@@ -222,29 +216,19 @@ class PairProblem:
         self.parameters = tuple(everything[k] for k in self._places)
         self._scale = np.array([p.scale for p in self.parameters])
         self._whole = len(everything)
-        self._sizes = [
-            arm.dh.size + 3 * (name in free_tools) for name, arm in zip(self.names, arms, strict=True)
-        ]
+        self._sizes = [arm.dh.size + 3 * (name in free_tools) for name, arm in zip(self.names, arms, strict=True)]
         self._near = np.flatnonzero(contacts.distance_m == 0.0)
         self._far = np.flatnonzero(contacts.distance_m > 0.0)
 
     def _all_parameters(self, bounds: Bounds, free_tools: Collection[str]) -> list[Parameter]:
         """Of the first arm, of the second, of where its base stands, and of each join."""
-        of_arms = [
-            p
-            for name, arm in zip(self.names, self.arms, strict=True)
-            for p in _of_arm(name, arm, bounds, free_tools)
-        ]
+        of_arms = [p for name, arm in zip(self.names, self.arms, strict=True) for p in _of_arm(name, arm, bounds, free_tools)]
         base = [
             Parameter(f"{self.names[1]}_{BASE}_{kind}{axis}", unit, 0.0, math.inf)
             for kind, unit in (("", "m"), ("r", "rad"))
             for axis in AXES
         ]
-        joins = [
-            Parameter(f"join_{name}_r{axis}", "rad", 0.0, math.inf)
-            for name in self.joins.names
-            for axis in AXES
-        ]
+        joins = [Parameter(f"join_{name}_r{axis}", "rad", 0.0, math.inf) for name in self.joins.names for axis in AXES]
         return [*of_arms, *base, *joins]
 
     def __len__(self) -> int:
@@ -260,9 +244,7 @@ class PairProblem:
         far = norms(gap[self._far]) - self.contacts.distance_m[self._far]
         return np.concatenate((gap[self._near], _in_threes(far), LEVER_m * self.angles_rad(x)))[rows]
 
-    def residuals_and_jacobian(
-        self, x: Array, rows: slice = ALL, at_zero: bool = False
-    ) -> tuple[Array, Array]:
+    def residuals_and_jacobian(self, x: Array, rows: slice = ALL, at_zero: bool = False) -> tuple[Array, Array]:
         """(rows, 3) and (rows, 3, k); `at_zero`: that of orientations as if they fitted."""
         gap, by_whole = self._gaps(x)
         by_x = by_whole[:, :, self._places] * self._scale
@@ -290,9 +272,7 @@ class PairProblem:
             missing = seated.contacts.distance_m[:, None] * _lengths(gap)[1] - gap
             move = np.einsum("mnk,mk->mn", np.linalg.pinv(slopes[:, :, joints], rcond=REACHABLE), missing)
             move *= np.minimum(1.0, SEATING_LIMIT_rad / np.maximum(norms(move), 1e-300))[:, None]
-            seated.contacts = dataclasses.replace(
-                seated.contacts, second_rad=seated.contacts.second_rad + move
-            )
+            seated.contacts = dataclasses.replace(seated.contacts, second_rad=seated.contacts.second_rad + move)
         return seated.residuals_and_jacobian(x, rows, at_zero=True)[1]
 
     def errors_m(self, x: Array) -> Array:
@@ -327,9 +307,7 @@ class PairProblem:
         contacts = self.contacts
         ours, theirs = (
             np.array(model.slopes(arm.dh, q_rad).by_tool)
-            for model, arm, q_rad in zip(
-                self.models, self.arms, (contacts.first_rad, contacts.second_rad), strict=True
-            )
+            for model, arm, q_rad in zip(self.models, self.arms, (contacts.first_rad, contacts.second_rad), strict=True)
         )
         return Joins.of(contacts.joined, ours, self.base.rotation @ theirs)
 
@@ -374,9 +352,7 @@ class PairProblem:
         slopes = np.zeros((len(gap), 3, self._whole))
         first, second = self._sizes
         slopes[:, :, :first] = -np.concatenate((ours.by_dh, ours.by_tool), axis=2)[:, :, :first]
-        slopes[:, :, first : first + second] = (
-            turn @ np.concatenate((theirs.by_dh, theirs.by_tool), axis=2)
-        )[:, :, :second]
+        slopes[:, :, first : first + second] = (turn @ np.concatenate((theirs.by_dh, theirs.by_tool), axis=2))[:, :, :second]
         slopes[:, :, first + second : first + second + 3] = np.eye(3)
         turns = left_jacobian(move[3:])
         for axis in range(3):
@@ -393,17 +369,14 @@ def names_of(arms: tuple[Arm, Arm]) -> tuple[str, str]:
 def with_geometry(arm: Arm, dh: Array, tool_m: Array) -> Arm:
     """The arm with another DH table and tip."""
     x, y, z = tool_m.tolist()
-    return dataclasses.replace(
-        arm.with_dh(frozen(dh)), tool=dataclasses.replace(arm.tool, position_m=(x, y, z))
-    )
+    return dataclasses.replace(arm.with_dh(frozen(dh)), tool=dataclasses.replace(arm.tool, position_m=(x, y, z)))
 
 
 def _of_arm(name: str, arm: Arm, bounds: Bounds, free_tools: Collection[str]) -> list[Parameter]:
     found = [dataclasses.replace(p, name=f"{name}_{p.name}") for p in dh_parameters(arm.dh, bounds)]
     if name in free_tools:
         found += [
-            Parameter(f"{name}_tool_{axis}", "m", value, math.inf)
-            for axis, value in zip(AXES, arm.tool.position_m, strict=True)
+            Parameter(f"{name}_tool_{axis}", "m", value, math.inf) for axis, value in zip(AXES, arm.tool.position_m, strict=True)
         ]
     return found
 

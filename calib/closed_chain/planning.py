@@ -50,9 +50,7 @@ class SharedRoom:
         self.rest_rad: Poses = [_rest_rad(placed.arm) for placed in pair]
         self._bodies = tuple(ArmBody(placed, cell.tool_length_m) for placed in pair)
         self._pairs = pairs_between(*self._bodies)
-        self._own_pairs = [
-            _apart(body, q_rad) for body, q_rad in zip(self._bodies, self.rest_rad, strict=True)
-        ]
+        self._own_pairs = [_apart(body, q_rad) for body, q_rad in zip(self._bodies, self.rest_rad, strict=True)]
         self._least_m = cell.clearance_m + MARGIN_m
         self._backs = (_Back(pair[0].arm), _Back(pair[1].arm))
         self._levers_m = [_levers_m(placed.arm) for placed in pair]
@@ -82,9 +80,7 @@ class SharedRoom:
         By conservative advancement: parts that have a distance to spare cannot meet before they have moved that far.
         """
         start, end = ([np.array(q_rad) for q_rad in poses] for poses in (start_rad, end_rad))
-        moved_m = sum(
-            float(np.abs(b - a) @ levers) for a, b, levers in zip(start, end, self._levers_m, strict=True)
-        )
+        moved_m = sum(float(np.abs(b - a) @ levers) for a, b, levers in zip(start, end, self._levers_m, strict=True))
         share = STEP_m / max(moved_m, STEP_m)
         while share < 1.0:
             first, second = (a + share * (b - a) for a, b in zip(start, end, strict=True))
@@ -153,9 +149,7 @@ def _rest_rad(arm: Arm) -> Sequence[float]:
 
 DRAWN = 6000  # poses of the first arm; one in ten gives a contact
 STARTS = 12  # from which postures of the second arm are searched
-LEVER = (
-    0.12  # of the reach, per rad: least way of the tip; 3 % of the reach are then made up for within 0.25 rad
-)
+LEVER = 0.12  # of the reach, per rad: least way of the tip; 3 % of the reach are then made up for within 0.25 rad
 CAVITY, APART = "cavity", "apart"  # setups of contacts in one place, and at a distance
 SEED = 0
 
@@ -171,9 +165,7 @@ class Candidates:
     def chosen(self, rows: Sequence[int]) -> Candidates:
         """Some of them, by index."""
         keep = np.array(rows, dtype=np.intp)
-        return Candidates(
-            self.contacts.chosen(keep), frozen(self.first_away_rad[keep]), frozen(self.second_away_rad[keep])
-        )
+        return Candidates(self.contacts.chosen(keep), frozen(self.first_away_rad[keep]), frozen(self.second_away_rad[keep]))
 
 
 def base_of(cell: Cell, names: tuple[str, str]) -> Frame:
@@ -183,9 +175,7 @@ def base_of(cell: Cell, names: tuple[str, str]) -> Frame:
     return Frame(f"{two.name}_base", frozen(turn), frozen(np.array(one.in_base(two.origin_m))))
 
 
-def contact_candidates(
-    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], drawn: int = DRAWN
-) -> Candidates:
+def contact_candidates(cell: Cell, names: tuple[str, str], distances_m: Sequence[float], drawn: int = DRAWN) -> Candidates:
     """Contacts by the arms' own models: drawn poses of the first, and every posture of the second that reaches its tip.
 
     The distances [m] between the tips take turns; 0 is one place. For the distances, directions are drawn (seeded).
@@ -273,12 +263,7 @@ def pair_of(cell: Cell, asked: Sequence[str] | None = None) -> tuple[str, str]:
 
 
 def plan_contacts(
-    cell: Cell,
-    names: tuple[str, str],
-    distances_m: Sequence[float],
-    count: int,
-    plan: PairPlan | None = None,
-    drawn: int = DRAWN,
+    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], count: int, plan: PairPlan | None = None, drawn: int = DRAWN
 ) -> ContactPlan:
     """Plan `count` contacts. CalibrationError if the arms can meet at fewer places."""
     first, second = (cell.placed(name).arm for name in names)
@@ -297,13 +282,9 @@ def plan_contacts(
     return ContactPlan(arms, chosen, known, len(found.contacts), found.chosen(rest))
 
 
-def what_they_determine(
-    arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan
-) -> Determinability:
+def what_they_determine(arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan) -> Determinability:
     """Of the parameters of both arms and of the second base, by the arms' nominal models."""
-    problem = PairProblem(
-        arms, contacts, base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools
-    )
+    problem = PairProblem(arms, contacts, base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools)
     return determinability(problem.sensitivity(np.zeros(len(problem.parameters))), problem.parameters)
 
 

@@ -78,9 +78,7 @@ def _primes(count: int) -> list[int]:
     return found
 
 
-def postures(
-    model: ArmModel, targets_m: Array, starts_rad: Array, box: tuple[Array, Array]
-) -> tuple[Array, Rows]:
+def postures(model: ArmModel, targets_m: Array, starts_rad: Array, box: tuple[Array, Array]) -> tuple[Array, Rows]:
     """Poses with the tip at the targets (c, 3): (q (p, n), which target each belongs to (p,)).
 
     By damped least squares from every start (s, n) within the box; equal postures are returned once.
@@ -116,9 +114,7 @@ def body_points(arm: Arm, q_rad: Array) -> Array:
     frames = link_transforms(arm.dh, q_rad, arm.joints, arm.dh_convention)
     tips = frames[:, -1, :3, 3] + frames[:, -1, :3, :3] @ np.array(arm.tool.position_m)
     corners = np.concatenate((frames[:, 1:, :3, 3], tips[:, None]), axis=1)
-    between = [
-        corners[:, :-1] + share * (corners[:, 1:] - corners[:, :-1]) for share in (0.0, 0.25, 0.5, 0.75)
-    ]
+    between = [corners[:, :-1] + share * (corners[:, 1:] - corners[:, :-1]) for share in (0.0, 0.25, 0.5, 0.75)]
     return np.concatenate((*between, tips[:, None]), axis=1)
 
 
@@ -182,11 +178,7 @@ def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame])
     own = ["normal"] if arm.table.origin_m is not None else []
     own += ["roll"] if own and arm.table.roll_tilt_rad else []
     own += ["pitch"] if own and arm.table.pitch_tilt_rad else []
-    seated = (
-        []
-        if points is None
-        else [s for s, p in zip(points.setup, points.point, strict=True) if p in _all(arm)]
-    )
+    seated = [] if points is None else [s for s, p in zip(points.setup, points.point, strict=True) if p in _all(arm)]
     return list(dict.fromkeys([*own, *measured, *(setup for setup in seated if setup != "free")]))
 
 
@@ -218,9 +210,7 @@ def boards_in_the_way(
 def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, Frame]) -> PlacedBoard:
     table = arm.table or Table()
     if setup in measured:
-        return PlacedBoard(
-            setup, measured[setup].rotation, measured[setup].origin_m, _all(arm), is_known=True
-        )
+        return PlacedBoard(setup, measured[setup].rotation, measured[setup].origin_m, _all(arm), is_known=True)
     fitted = None if table.known_pose else _fitted(arm, setup, points)
     if fitted is not None:
         return fitted
@@ -234,9 +224,7 @@ def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, 
             f"setup {setup}: the board's position is unknown: record three cavities and give them with --points,"
             " register the board, or write its approximate position as origin_m in [table]"
         )
-    return PlacedBoard(
-        setup, tilted(table, setup), np.array(table.origin_m), _all(arm), is_known=table.known_pose
-    )
+    return PlacedBoard(setup, tilted(table, setup), np.array(table.origin_m), _all(arm), is_known=table.known_pose)
 
 
 def tilted(table: Table, setup: str) -> Array:
@@ -254,11 +242,7 @@ def tilted(table: Table, setup: str) -> Array:
 def _fitted(arm: Arm, setup: str, points: Points | None) -> PlacedBoard | None:
     """The board placed by the nominal arm's tips in its cavities; if they are collinear, only those cavities."""
     known = _all(arm)
-    rows = (
-        []
-        if points is None
-        else [k for k, s in enumerate(points.setup) if s == setup and points.point[k] in known]
-    )
+    rows = [] if points is None else [k for k, s in enumerate(points.setup) if s == setup and points.point[k] in known]
     if points is None or not rows:
         return None
     model = ArmModel(arm)
@@ -352,11 +336,7 @@ def scaled_height_m(arm: Arm, height_m: float) -> float:
 
 
 def workspace_poses(
-    arm: Arm,
-    boards: Iterable[PlacedBoard],
-    count: int,
-    edge_share: float = 0.0,
-    height_m: float = WORKSPACE_HEIGHT_M,
+    arm: Arm, boards: Iterable[PlacedBoard], count: int, edge_share: float = 0.0, height_m: float = WORKSPACE_HEIGHT_M
 ) -> Array:
     """Collision-free poses (m, n), m <= count, spread over the joints' ranges, with this tip height above floor and boards."""
     q = spread_poses(joint_box(arm), count, edge_share)

@@ -94,12 +94,7 @@ class Uncertainty:
 
 
 def experiment_of(
-    arm: Arm,
-    poses: Points,
-    workspace_q: Array,
-    noise_m: float,
-    choice: Choice,
-    turn_noise_rad: float | None = None,
+    arm: Arm, poses: Points, workspace_q: Array, noise_m: float, choice: Choice, turn_noise_rad: float | None = None
 ) -> Experiment:
     """All poses (taken and candidates) of an arm as information; `choice` as for the identification.
 
@@ -149,12 +144,7 @@ def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertai
 
 
 def _rows(
-    arm: Arm,
-    poses: Points,
-    problem: ArmProblem,
-    noise_m: float,
-    choice: Choice,
-    turn_noise_rad: float | None,
+    arm: Arm, poses: Points, problem: ArmProblem, noise_m: float, choice: Choice, turn_noise_rad: float | None
 ) -> tuple[tuple[Parameter, ...], Array]:
     """The unknowns, and each pose's derivatives over their noise: (m, 3, k), with orientations (m, 6, k)."""
     if turn_noise_rad is None:
@@ -203,9 +193,7 @@ def _yardstick(experiment: Experiment, shown: Array) -> float:
     return max(1.0, float(np.linalg.norm(bounded @ shown @ bounded.T, 2)))
 
 
-def _workspace_rows(
-    problem: ArmProblem, parameters: tuple[Parameter, ...], q_rad: Array, is_tied: bool
-) -> Array:
+def _workspace_rows(problem: ArmProblem, parameters: tuple[Parameter, ...], q_rad: Array, is_tied: bool) -> Array:
     """Derivatives of tips (w, 3, k) [m per scaled unknown] by the arm's parameters at poses (w, n)."""
     model, tool_m = problem.model, problem.solution(np.zeros(len(problem.parameters))).tool_m
     slopes = model.slopes(model.nominal_dh, q_rad, tool_m)

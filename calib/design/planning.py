@@ -33,14 +33,7 @@ from calib.design.candidates import (
     usual_setups,
     workspace_poses,
 )
-from calib.design.information import (
-    Criterion,
-    Experiment,
-    Uncertainty,
-    criterion_of,
-    experiment_of,
-    uncertainty_of,
-)
+from calib.design.information import Criterion, Experiment, Uncertainty, criterion_of, experiment_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.points.points import Points, make_points
 from calib.points.writer import write_points
@@ -137,11 +130,7 @@ class Group:
 
 
 def select(
-    experiment: Experiment,
-    criterion: Criterion,
-    taken: Rows,
-    groups: Sequence[Group],
-    start: Sequence[int] | None = None,
+    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group], start: Sequence[int] | None = None
 ) -> list[int]:
     """Rows of the best poses to add to those recorded, with the count of each group.
 
@@ -163,9 +152,7 @@ def select(
     return [row for row, _ in ordered]
 
 
-def _greedy(
-    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]
-) -> list[tuple[int, int]]:
+def _greedy(experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]) -> list[tuple[int, int]]:
     """(row, group) of each choice: the best of all groups that are not complete yet."""
     information = experiment.information(taken)
     left = [np.array(group.rows) for group in groups]
@@ -185,11 +172,7 @@ def _greedy(
 
 
 def _exchange(
-    experiment: Experiment,
-    criterion: Criterion,
-    taken: Rows,
-    groups: Sequence[Group],
-    chosen: list[tuple[int, int]],
+    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group], chosen: list[tuple[int, int]]
 ) -> None:
     """Replace each choice by the best of its group, again and again, until nothing changes."""
     for _ in range(SWEEPS_LIMIT):
@@ -208,15 +191,11 @@ def _exchange(
 
 
 WAY_SAMPLES = 16
-WAY_HEIGHT_M = (
-    0.05  # of the nominal tip above floor and boards between poses; an uncalibrated arm may be 4 cm off
-)
+WAY_HEIGHT_M = 0.05  # of the nominal tip above floor and boards between poses; an uncalibrated arm may be 4 cm off
 DETOUR_RAD = 100.0  # penalty for a path with a collision, so that any other order is better
 
 
-def visiting_order(
-    arm: Arm, planned: Points, setups: Sequence[str], boards: Iterable[PlacedBoard]
-) -> list[int]:
+def visiting_order(arm: Arm, planned: Points, setups: Sequence[str], boards: Iterable[PlacedBoard]) -> list[int]:
     """Indices of the planned poses in visiting order: setups in the order given, free poses last.
 
     Within each the sum of largest joint travels is kept small: nearest neighbour, then 2-opt.
@@ -304,8 +283,7 @@ def plan_json(plan: Plan, arm: str) -> dict[str, object]:
         "before": _state(plan.before),
         "after": _state(plan.after),
         "points": [
-            entries(pose, "setup", "point", "repeat", "q_rad", "visit")
-            | {"log_det_gain": pose.gain, "after": _state(pose.after)}
+            entries(pose, "setup", "point", "repeat", "q_rad", "visit") | {"log_det_gain": pose.gain, "after": _state(pose.after)}
             for pose in plan.poses
         ],
         "alternatives": [
@@ -322,11 +300,7 @@ def _state(state: Uncertainty) -> dict[str, object]:
         "points": state.points_count,
         "observability": state.indices.as_dict(),
         **entries(state, "log_det", "rank", "tip_m", "tip_worst_m"),
-        "least_known": {
-            "name": state.least_known,
-            "sd": state.least_known_sd,
-            "unit": state.least_known_unit,
-        },
+        "least_known": {"name": state.least_known, "sd": state.least_known_sd, "unit": state.least_known_unit},
     }
 
 
@@ -513,11 +487,7 @@ def _other_tilts(arm: Arm, setups: list[str], request: Request) -> dict[str, Pla
     if request.only == "free" or arm.table is None or arm.table.origin_m is None:
         return {}
     tilts = {"roll": arm.table.roll_tilt_rad, "pitch": arm.table.pitch_tilt_rad}
-    more = [
-        name
-        for name in (*SETUPS, *OTHER_TILTS)
-        if name not in setups and all(tilts[part] for part in tilts if part in name)
-    ]
+    more = [name for name in (*SETUPS, *OTHER_TILTS) if name not in setups and all(tilts[part] for part in tilts if part in name)]
     return placed_boards(arm, more, None, {})
 
 
@@ -560,8 +530,7 @@ def _nothing_to_plan(arm: Arm, request: Request) -> str:
     if request.only == "table" and arm.table is None:
         return f"arm {arm.name} has no [table]: add one, or omit --only table"
     return (
-        "no pose is left to plan: no cavity within reach is left, and no free pose is clear of the floor and in the"
-        " camera's view"
+        "no pose is left to plan: no cavity within reach is left, and no free pose is clear of the floor and in the camera's view"
     )
 
 
@@ -574,13 +543,8 @@ def _groups(offer: _Offer, setups: list[str], request: Request) -> list[Group]:
     if request.free_count is None:
         return [Group("poses", np.concatenate((table, free)), request.count)]
     if not 0 <= request.free_count <= request.count:
-        raise CalibrationError(
-            f"free poses: expected 0 to {request.count} (the number of all poses), got {request.free_count}"
-        )
-    return [
-        Group("cavities", table, request.count - request.free_count),
-        Group("free poses", free, request.free_count),
-    ]
+        raise CalibrationError(f"free poses: expected 0 to {request.count} (the number of all poses), got {request.free_count}")
+    return [Group("cavities", table, request.count - request.free_count), Group("free poses", free, request.free_count)]
 
 
 def _chosen(offer: _Offer, request: Request, setups: list[str]) -> list[int]:
@@ -636,9 +600,7 @@ def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative
     return found
 
 
-def _planned_poses(
-    offer: _Offer, chosen: list[int], points: Points, order: list[int]
-) -> tuple[PlannedPose, ...]:
+def _planned_poses(offer: _Offer, chosen: list[int], points: Points, order: list[int]) -> tuple[PlannedPose, ...]:
     """The gain of each pose when added to the previous ones; `points` are in visiting order."""
     found = []
     before = uncertainty_of(offer.experiment, offer.taken)
@@ -665,8 +627,4 @@ def _blocked(arm: Arm, visited: Points, boards: tuple[PlacedBoard, ...]) -> tupl
     if len(rows) < 2:
         return ()
     clear = clear_ways(arm, visited.q_rad[rows], boards)
-    return tuple(
-        (visited.point[rows[k]], visited.point[rows[k + 1]])
-        for k in range(len(rows) - 1)
-        if not clear[k, k + 1]
-    )
+    return tuple((visited.point[rows[k]], visited.point[rows[k + 1]]) for k in range(len(rows) - 1) if not clear[k, k + 1])

@@ -21,17 +21,7 @@ from calib.arm_problem.posed import WeightedProblem, whole_problem
 from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen
 from calib.calibration.report import estimate_lines
-from calib.distances.problem import (
-    BETWEEN,
-    GAUGE,
-    LEAST,
-    Device,
-    DistanceProblem,
-    Readings,
-    Vector,
-    devices_of,
-    readings_of,
-)
+from calib.distances.problem import BETWEEN, GAUGE, LEAST, Device, DistanceProblem, Readings, Vector, devices_of, readings_of
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Sensitivity
 from calib.identify.identification import Estimate, Estimation, Identification, uncertainty
@@ -90,9 +80,7 @@ def calibrate_with_distances(
     """
     readings = readings_of(arm, points, where)
     if len(readings) < LEAST_READINGS:
-        raise UnusablePointsError(
-            f"{where}: {len(readings)} readings of lengths, {LEAST_READINGS} are needed at least"
-        )
+        raise UnusablePointsError(f"{where}: {len(readings)} readings of lengths, {LEAST_READINGS} are needed at least")
     advance("where the devices stand", 0.0)
     tips, problem = _problem(arm, points, readings, plan)
     before = problem.errors_m(np.zeros(len(problem.parameters)))
@@ -125,9 +113,7 @@ def require_of_arm(errors_m: Array, where: Path) -> None:
         )
 
 
-def _problem(
-    arm: Arm, points: Points, readings: Readings, plan: DistancePlan
-) -> tuple[ArmProblem | None, DistanceProblem]:
+def _problem(arm: Arm, points: Points, readings: Readings, plan: DistancePlan) -> tuple[ArmProblem | None, DistanceProblem]:
     """The problem of the measured tips, if there are any, and the whole one."""
     model, choice = ArmModel(arm), plan.choice
     seen = points.chosen(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)))
@@ -201,17 +187,13 @@ def _placed(problem: DistanceProblem) -> list[Device]:
 def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Minimum) -> Identification:
     x, zero = best.x, np.zeros(len(best.x))
     before, after = problem.residuals(zero), problem.residuals(x)
-    found: Estimation = uncertainty(
-        problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x))
-    )
+    found: Estimation = uncertainty(problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x)))
     dh, tool = problem.arm_at(x)
     own = 0 if tips is None else len(tips.parameters)
     frames = (Frame.base(),) if tips is None else tips.solution(x[:own]).frames
     errors = [_as_vectors(problem.errors_m(at)) for at in (zero, x)]
     if tips is not None:
-        errors = [
-            np.concatenate((tips.residuals(at[:own]), e)) for at, e in zip((zero, x), errors, strict=True)
-        ]
+        errors = [np.concatenate((tips.residuals(at[:own]), e)) for at, e in zip((zero, x), errors, strict=True)]
     return Identification(
         objective=best.objective.name,
         solution=ModelValues(frozen(dh), frozen(tool), frames, {}),
@@ -336,20 +318,13 @@ def _setup(device: str) -> str:
     return BETWEEN if device.startswith(BETWEEN) else device
 
 
-def _problem_of_others(
-    arm: Arm, points: Points, where: Path, free_zero: bool, known_m: Mapping[str, Vector]
-) -> DistanceProblem:
+def _problem_of_others(arm: Arm, points: Points, where: Path, free_zero: bool, known_m: Mapping[str, Vector]) -> DistanceProblem:
     """Of the devices only: the arm is as it says."""
     model, readings = ArmModel(arm), readings_of(arm, points, where)
     tips = model.tips(model.nominal_dh, readings.q_rad)
     devices = devices_of(readings, tips, free_zero, known_m, to_spare=1)
     return DistanceProblem(
-        model,
-        readings,
-        devices,
-        unit_m=POSITION_NOISE_m,
-        tool_m=model.nominal_tool_m,
-        fixed=dh_names(len(arm.links)),
+        model, readings, devices, unit_m=POSITION_NOISE_m, tool_m=model.nominal_tool_m, fixed=dh_names(len(arm.links))
     )
 
 

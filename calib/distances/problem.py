@@ -17,14 +17,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import (
-    ArmModel,
-    Bounds,
-    Parameter,
-    dh_names,
-    dh_parameters,
-    require_known_names,
-)
+from calib.arm_problem.arm_model import ArmModel, Bounds, Parameter, dh_names, dh_parameters, require_known_names
 from calib.arm_problem.checks import TURNS_LIMIT_rad
 from calib.arm_problem.expansion import ALL, Problem
 from calib.arm_problem.joint_effects import known_corrections
@@ -142,9 +135,7 @@ def readings_of(arm: Arm, points: Points, where: Path) -> Readings:
     )
 
 
-def _poses(
-    table: TableContent, devices: Sequence[str], length_m: Array, rows: Sequence[int]
-) -> list[tuple[int, int]]:
+def _poses(table: TableContent, devices: Sequence[str], length_m: Array, rows: Sequence[int]) -> list[tuple[int, int]]:
     """Both poses of each reading; the first states it."""
     poses, open_pairs = [], dict[str, int]()
     for row in rows:
@@ -163,9 +154,7 @@ def _poses(
             open_pairs[device] = row
     if open_pairs:
         device, row = next(iter(open_pairs.items()))
-        raise PointsFileError(
-            f'{table.place(row)}: "{device}" has no second pose: expected two lines with this name'
-        )
+        raise PointsFileError(f'{table.place(row)}: "{device}" has no second pose: expected two lines with this name')
     return poses
 
 
@@ -224,9 +213,7 @@ class Device:
             own[:, 0 if self.is_known else 3 :] = 1.0
         return zero_m + length, along, -along if self.kind == BETWEEN else np.zeros_like(along), own
 
-    def _by_gauge(
-        self, values: Array, tips: Array, along: Array, zero_m: float
-    ) -> tuple[Array, Array, Array, Array]:
+    def _by_gauge(self, values: Array, tips: Array, along: Array, zero_m: float) -> tuple[Array, Array, Array, Array]:
         size = float(np.linalg.norm(self.place + values[:2] @ self.axes))
         turns = (self.axes - np.outer(self.axes @ along, along)) / size
         own = np.column_stack((tips @ turns.T, np.ones(len(tips))))
@@ -248,16 +235,12 @@ def devices_of(
     return tuple(_device(name, readings, tips, free_zero, known_m, to_spare) for name in names)
 
 
-def _device(
-    name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int
-) -> Device:
+def _device(name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int) -> Device:
     rows, (kind, _, own) = readings.of(name), name.partition(":")
     is_known = kind == WIRE and own in known_m
     least = 1 if is_known or kind == BETWEEN else LEAST[kind] + (kind == WIRE and free_zero) + to_spare
     if len(rows) < least:
-        raise UnusablePointsError(
-            f'"{name}": {len(rows)} readings, {least} are needed to find where it stands'
-        )
+        raise UnusablePointsError(f'"{name}": {len(rows)} readings, {least} are needed to find where it stands')
     at, length = tips[readings.pose[rows, 0]], readings.length_m[rows]
     axes, zero_m, place = np.zeros((0, 3)), 0.0, np.zeros(3)
     units: tuple[tuple[str, str], ...] = (("zero", "m"),) if kind == WIRE and free_zero else ()
@@ -282,9 +265,7 @@ def _direction(name: str, tips: Array, length: Array) -> tuple[Array, float]:
     slope, *_ = np.linalg.lstsq(tips - centre, length - length.mean(), rcond=1e-2)
     size = float(np.linalg.norm(slope))
     if size < 1e-9:
-        raise UnusablePointsError(
-            f'"{name}": its readings do not change with the tip: no direction follows from them'
-        )
+        raise UnusablePointsError(f'"{name}": its readings do not change with the tip: no direction follows from them')
     direction = slope / size
     return direction, float(np.mean(length - tips @ direction))
 
@@ -307,9 +288,7 @@ def _fixed_point(tips: Array, length: Array, free_zero: bool) -> tuple[Array, fl
     return place, zero_m
 
 
-def _refined(
-    tips: Array, length: Array, start: Array, zero: float, free_zero: bool
-) -> tuple[float, Array, float]:
+def _refined(tips: Array, length: Array, start: Array, zero: float, free_zero: bool) -> tuple[float, Array, float]:
     """Sum of squares, place and zero after damped Gauss-Newton steps from a start."""
     x = np.append(start, zero) if free_zero else np.array(start)
     damping, best = 1e-3, math.inf
@@ -481,9 +460,7 @@ class DistanceProblem:
         at = self._devices_at
         for device, rows, values in zip(self.devices, self._rows, self.device_values(x), strict=True):
             first, second = self.readings.pose[rows].T
-            length, by_first, by_second, own = device.modelled(
-                values, slopes.tips[first], slopes.tips[second]
-            )
+            length, by_first, by_second, own = device.modelled(values, slopes.tips[first], slopes.tips[second])
             error[rows] = self.readings.length_m[rows] - length
             by_whole[rows, : self._devices_at] = -np.einsum("ri,rik->rk", by_first, by_arm[first])
             by_whole[rows, : self._devices_at] -= np.einsum("ri,rik->rk", by_second, by_arm[second])
@@ -502,7 +479,6 @@ def _of_the_arm(model: ArmModel, bounds: Bounds, is_tool_free: bool, tool_m: Arr
     found = list(dh_parameters(model.nominal_dh, bounds))
     if is_tool_free:
         found += [
-            Parameter(name, "m", float(value), bounds.of_free(name, "m"))
-            for name, value in zip(TOOL_NAMES, tool_m, strict=True)
+            Parameter(name, "m", float(value), bounds.of_free(name, "m")) for name, value in zip(TOOL_NAMES, tool_m, strict=True)
         ]
     return tuple(found)

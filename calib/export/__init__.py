@@ -17,11 +17,7 @@ from control.model.arm import Arm
 
 __all__ = ["FORMS", "export", "export_text", "write_new"]
 
-FORMS: Final[Mapping[str, Callable[[Arm], str]]] = {
-    "urdf": urdf_text,
-    "mjcf": mjcf_text,
-    "json": plain_text,
-}
+FORMS: Final[Mapping[str, Callable[[Arm], str]]] = {"urdf": urdf_text, "mjcf": mjcf_text, "json": plain_text}
 
 
 def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:

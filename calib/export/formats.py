@@ -191,9 +191,7 @@ def omitted(arm: Arm) -> tuple[str, ...]:
     """A sentence for what the file leaves out."""
     others = [effect for effect in arm.effects if effect.effect not in CORRECTED]
     names = sorted({effect.effect for effect in others})
-    sentences = (
-        (f"python corrects geometry, scale and eccentricity; not {', '.join(names)}",) if names else ()
-    )
+    sentences = (f"python corrects geometry, scale and eccentricity; not {', '.join(names)}",) if names else ()
     return (*sentences, "python has no maps: omitted") if arm.maps else sentences
 
 
@@ -254,9 +252,7 @@ def urdf_text(arm: Arm) -> str:
 
 def _for_mujoco(root: ET.Element, bodies: tuple[ExportedLink, ...]) -> None:
     """MuJoCo's own element, which other readers ignore: keep the fixed frames and the shapes."""
-    compiler = ET.SubElement(
-        ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="false"
-    )
+    compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="false")
     for key, value in mass_bounds(bodies).items():
         compiler.set(key, value)
 
@@ -313,9 +309,7 @@ def _add_joint(root: ET.Element, arm: Arm, body: ExportedLink, parent: str) -> N
         ET.SubElement(joint, "dynamics", damping=damping, friction=friction)
 
 
-def _joint(
-    root: ET.Element, name: str, kind: str, parent: str, child: str, xyz_m: Vector3, rpy_rad: Vector3
-) -> ET.Element:
+def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, xyz_m: Vector3, rpy_rad: Vector3) -> ET.Element:
     joint = ET.SubElement(root, "joint", name=name, type=kind)
     _origin(joint, xyz_m, rpy_rad)
     ET.SubElement(joint, "parent", link=parent)
@@ -347,9 +341,7 @@ def mjcf_text(arm: Arm) -> str:
     bodies = bodies_of(arm)
     root = ET.Element("mujoco", model=safe(arm.name))
     bounds = mass_bounds(bodies)
-    ET.SubElement(
-        root, "compiler", {"angle": "radian", "autolimits": "true", "inertiafromgeom": "false"} | bounds
-    )
+    ET.SubElement(root, "compiler", {"angle": "radian", "autolimits": "true", "inertiafromgeom": "false"} | bounds)
     ET.SubElement(root, "option", gravity=numbers(arm.gravity_m_s2), integrator="implicitfast")
     base, tip = end_names(arm)
     place = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=base)
@@ -364,9 +356,7 @@ def mjcf_text(arm: Arm) -> str:
 
 def _add_body(parent: ET.Element, arm: Arm, body: ExportedLink, end_m: Vector3) -> ET.Element:
     at = body.parent_T_body
-    here = ET.SubElement(
-        parent, "body", name=body.name, pos=numbers(at.position_m), quat=numbers(at.quaternion)
-    )
+    here = ET.SubElement(parent, "body", name=body.name, pos=numbers(at.position_m), quat=numbers(at.quaternion))
     if body.has_inertia:
         ET.SubElement(
             here,
@@ -377,11 +367,7 @@ def _add_body(parent: ET.Element, arm: Arm, body: ExportedLink, end_m: Vector3) 
             diaginertia=numbers(body.link.inertia_kg_m2 or ()),
         )
     if body.joint is not None:
-        ET.SubElement(
-            here,
-            "joint",
-            {"name": body.joint_name, "axis": "0 0 1"} | _mjcf_joint(joint_figures(arm, body.joint)),
-        )
+        ET.SubElement(here, "joint", {"name": body.joint_name, "axis": "0 0 1"} | _mjcf_joint(joint_figures(arm, body.joint)))
     length = math.hypot(*end_m)
     if length > LEAST_LENGTH_m:
         shape = {"type": "capsule", "fromto": numbers((0.0, 0.0, 0.0, *end_m)), "contype": "0"}
@@ -391,11 +377,7 @@ def _add_body(parent: ET.Element, arm: Arm, body: ExportedLink, end_m: Vector3) 
 
 def _mjcf_joint(figures: DriveFigures) -> dict[str, str]:
     """MJCF joint attributes of a drive; values of 0 or infinity are omitted."""
-    held = {
-        "armature": figures.rotor_kg_m2,
-        "damping": figures.viscous_Nm_s_rad,
-        "frictionloss": figures.coulomb_Nm,
-    }
+    held = {"armature": figures.rotor_kg_m2, "damping": figures.viscous_Nm_s_rad, "frictionloss": figures.coulomb_Nm}
     attributes = {key: repr(value) for key, value in held.items() if value}
     if figures.is_limited:
         attributes["range"] = numbers((figures.lower_rad, figures.upper_rad))
@@ -410,9 +392,5 @@ def _add_motors(root: ET.Element, arm: Arm, joint_names: Mapping[int | None, str
     for drive in arm.drives:
         torque = joint_figures(arm, drive.joint).torque_Nm
         ET.SubElement(
-            actuators,
-            "motor",
-            name=f"motor{drive.joint}",
-            joint=joint_names[drive.joint],
-            ctrlrange=numbers((-torque, torque)),
+            actuators, "motor", name=f"motor{drive.joint}", joint=joint_names[drive.joint], ctrlrange=numbers((-torque, torque))
         )

@@ -26,11 +26,7 @@ class Placement:
     @property
     def position_m(self) -> Vector3:
         """Origin."""
-        return (
-            self.L_m * math.cos(self.theta_rad) + 0.0,
-            self.L_m * math.sin(self.theta_rad) + 0.0,
-            self.d_m + 0.0,
-        )
+        return (self.L_m * math.cos(self.theta_rad) + 0.0, self.L_m * math.sin(self.theta_rad) + 0.0, self.d_m + 0.0)
 
     @property
     def rpy_rad(self) -> Vector3:
@@ -50,9 +46,7 @@ class Placement:
         c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
         ca, sa = math.cos(self.alpha_rad), math.sin(self.alpha_rad)
         x, y, z = self.position_m
-        return np.array(
-            [[c, -s * ca, s * sa, x], [s, c * ca, -c * sa, y], [0.0, sa, ca, z], [0.0, 0.0, 0.0, 1.0]]
-        )
+        return np.array([[c, -s * ca, s * sa, x], [s, c * ca, -c * sa, y], [0.0, sa, ca, z], [0.0, 0.0, 0.0, 1.0]])
 
     def of(self, point_m: Vector3) -> Vector3:
         """Convert a point of this frame to the parent frame."""
@@ -155,9 +149,7 @@ def document(root: ET.Element, comment: str) -> str:
     """The whole file, indented, with a leading comment."""
     ET.indent(root)
     text = re.sub(r"-(?=-)", "- ", safe(comment)).rstrip("-")
-    return (
-        f'<?xml version="1.0" encoding="utf-8"?>\n<!-- {text} -->\n{ET.tostring(root, encoding="unicode")}\n'
-    )
+    return f'<?xml version="1.0" encoding="utf-8"?>\n<!-- {text} -->\n{ET.tostring(root, encoding="unicode")}\n'
 
 
 def about(arm: Arm) -> str:
@@ -187,9 +179,7 @@ def losses(arm: Arm, form: str) -> tuple[str, ...]:
 
 def _effects(arm: Arm, form: str) -> list[str]:
     return [
-        f"{form} cannot express the effect {_spelled(effect)}: omitted"
-        for effect in arm.effects
-        if effect.effect not in HELD
+        f"{form} cannot express the effect {_spelled(effect)}: omitted" for effect in arm.effects if effect.effect not in HELD
     ]
 
 
@@ -211,9 +201,7 @@ def _masses(arm: Arm) -> list[str]:
         )
     vague = [body.number for body in bodies if body.link.mass_kg and not body.has_inertia]
     if vague:
-        sentences.append(
-            f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is omitted"
-        )
+        sentences.append(f"link {', '.join(map(str, vague))}: mass without com_m and inertia_kg_m2 is omitted")
     return sentences
 
 
@@ -232,9 +220,7 @@ def _drives(arm: Arm, form: str) -> list[str]:
                 " and will accelerate too fast in a simulation"
             )
     if arm.drives:
-        included = (
-            "limits, torque, speed and friction" if form == "urdf" else "limits, torque, friction and rotor"
-        )
+        included = "limits, torque, speed and friction" if form == "urdf" else "limits, torque, friction and rotor"
         sentences.append(
             f"{form} contains {included} of the drives; motors, gears, encoders, accelerations, jerk and gains are omitted"
         )

@@ -247,16 +247,12 @@ def gap_content(found: GapFinding) -> dict[str, object]:
         "effects": [
             {
                 **_fields(one.name),
-                "parameters": {
-                    key: {"value": value, "sd": sd} for key, (value, sd) in one.parameters.items()
-                },
+                "parameters": {key: {"value": value, "sd": sd} for key, (value, sd) in one.parameters.items()},
                 "is_nothing": one.is_nothing,
                 "gap_after": one.gap_after,
                 "probability": one.probability,
                 "share": one.share,
-                "law_departure": None
-                if math.isnan(one.departure)
-                else {"fraction": one.departure, "variable": one.variable},
+                "law_departure": None if math.isnan(one.departure) else {"fraction": one.departure, "variable": one.variable},
                 "evidence": one.evidence,
             }
             for one in found.effects
@@ -360,9 +356,7 @@ def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
         for one in found.effects
     ]
     effects = [
-        one
-        if is_possible(one.name.effect, one.parameters)
-        else dataclasses.replace(one, parameters={}, is_nothing=True)
+        one if is_possible(one.name.effect, one.parameters) else dataclasses.replace(one, parameters={}, is_nothing=True)
         for one in effects
     ]
     return dataclasses.replace(found, effects=tuple(effects))

@@ -36,29 +36,13 @@ from control.errors import MissingModel
 from control.model.arm import Arm
 from control.model.effects import COUPLED, COUPLED_TO
 
-FRICTIONS = (
-    0.0,
-    0.01,
-    0.02,
-    0.03,
-    0.05,
-    0.07,
-    0.1,
-    0.14,
-    0.2,
-    0.3,
-    0.4,
-)  # f, of the largest torque that is transmitted
+FRICTIONS = (0.0, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3, 0.4)  # f, of the largest torque that is transmitted
 UNCERTAIN = (0.01, 0.03, 0.1)  # u: within it a flank is not certain
 FEWEST = 50  # pairs of counts
 LATE_s = 0.007  # within which the motor's board answers, evenly
 PASSES = 3  # of a fit: how sure a flank is goes by the play
 TURNS_rad_s = 0.02  # as fast as this, friction has its full size
-SMALLEST = {
-    "joint_compliance": SPRING.smallest,
-    "backlash": LOOSE.smallest,
-    "belt_coupling": LOOSE.smallest,
-}  # worth a name
+SMALLEST = {"joint_compliance": SPRING.smallest, "backlash": LOOSE.smallest, "belt_coupling": LOOSE.smallest}  # worth a name
 LAW = {"joint_compliance": "stiffness_Nm_rad", "backlash": "width_rad", "belt_coupling": "ratio"}
 
 
@@ -102,11 +86,7 @@ class GearFit:
     @property
     def variance(self) -> float:
         """Of what is left; none for a spring or play below nought, which no gear has."""
-        signed = [
-            value
-            for value, effect in zip(self.found, self.effects, strict=False)
-            if effect != "belt_coupling"
-        ]
+        signed = [value for value, effect in zip(self.found, self.effects, strict=False) if effect != "belt_coupling"]
         if any(value <= 0.0 for value in signed):
             return math.inf
         return max(float(np.mean(self.left**2)), 1e-30) * math.exp(self.log_sd)
@@ -138,16 +118,12 @@ def _pairs(arm: Arm, dynamics: Dynamics, log: Log, joint: int) -> Pairs | None:
     if sum(len(part[0]) for part in found) < FEWEST:
         return None
     lead, torque, speed, direction, q2, run = (np.concatenate(column) for column in zip(*found, strict=True))
-    steps_rad = (
-        2.0 * math.pi / one.counts_per_joint_turn for one in (arm.drives[joint], arm.drives[joint].at_motor)
-    )
+    steps_rad = (2.0 * math.pi / one.counts_per_joint_turn for one in (arm.drives[joint], arm.drives[joint].at_motor))
     sd_rad = np.sqrt((sum(step**2 for step in steps_rad) + (LATE_s * speed) ** 2) / 12.0)
     return Pairs(joint, lead, torque, speed, direction, q2, run, np.zeros(len(run)), sd_rad)
 
 
-def _of_run(
-    arm: Arm, dynamics: Dynamics, run: LoggedRun, joint: int, number: int
-) -> Iterator[tuple[Array, ...]]:
+def _of_run(arm: Arm, dynamics: Dynamics, run: LoggedRun, joint: int, number: int) -> Iterator[tuple[Array, ...]]:
     """Lead, torque, speed, angle of joint 2 and the run's number at each pair, but for the ends, where filters see too little."""
     column = run.extra.get(f"lead{joint + 1}_rad")
     if column is None or len(run) < 3:
@@ -156,18 +132,14 @@ def _of_run(
     period_s = float(np.median(np.diff(run.t_s)))
     filters = filters_for(1.0 / period_s)
     t_s = np.arange(run.t_s[0], run.t_s[-1], period_s)
-    q, speed, acceleration = filters.states(
-        np.stack([np.interp(t_s, run.t_s, q) for q in run.q_rad.T], axis=1)
-    )
+    q, speed, acceleration = filters.states(np.stack([np.interp(t_s, run.t_s, q) for q in run.q_rad.T], axis=1))
     payload_kg = np.interp(t_s, run.t_s, run.payload_kg)
     drive = arm.drives[joint]
     torque = dynamics.torques(q, speed, acceleration, payload_kg)[:, joint]
     torque -= drive.gear_ratio**2 * drive.rotor_inertia_kg_m2 * acceleration[:, joint]
     edge_s = len(filters.state[0]) // 2 * period_s
     is_seen = np.isfinite(lead_rad) & (run.t_s > t_s[0] + edge_s) & (run.t_s < t_s[-1] - edge_s)
-    if (
-        run.is_commanded
-    ):  # off or braked, it may be in a hand or at its end stop: that torque is not the gear's
+    if run.is_commanded:  # off or braked, it may be in a hand or at its end stop: that torque is not the gear's
         is_seen &= np.nan_to_num(run.voltage_V[:, joint]) != 0.0
     seen = np.flatnonzero(is_seen)
     at_s = run.t_s[seen]
@@ -242,11 +214,7 @@ def _side(loaded_Nm: Array, flank: Flank) -> Array:
 def _columns(pairs: Pairs, effects: Sequence[str], flank: Flank) -> Array:
     """Of the effects, of the counts' moments, and of the offsets: (m, k)."""
     loaded_Nm = _loaded_Nm(pairs, flank)
-    laws = {
-        "joint_compliance": loaded_Nm,
-        "backlash": 0.5 * _side(loaded_Nm, flank),
-        "belt_coupling": -pairs.q2_rad,
-    }
+    laws = {"joint_compliance": loaded_Nm, "backlash": 0.5 * _side(loaded_Nm, flank), "belt_coupling": -pairs.q2_rad}
     offsets = (pairs.begun[:, None] == np.unique(pairs.begun)[None]).astype(np.float64)
     return np.column_stack([*(laws[effect] for effect in effects), pairs.speed_rad_s, offsets])
 
@@ -256,9 +224,7 @@ def _sd_rad(pairs: Pairs, effects: tuple[str, ...], flank: Flank, found: Array) 
     if "backlash" not in effects:
         return pairs.sd_rad
     half_rad = 0.5 * found[effects.index("backlash")]
-    return np.asarray(
-        np.hypot(pairs.sd_rad, half_rad * np.sqrt(1.0 - _side(_loaded_Nm(pairs, flank), flank) ** 2))
-    )
+    return np.asarray(np.hypot(pairs.sd_rad, half_rad * np.sqrt(1.0 - _side(_loaded_Nm(pairs, flank), flank) ** 2)))
 
 
 def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray) -> GearFit:

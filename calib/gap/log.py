@@ -29,9 +29,7 @@ JOINTS = {"q_rad": "q{}_rad", "q_set_rad": "q{}_set_rad", "current_A": "i{}_A", 
 LOG = TableFormat(
     "sample",
     (
-        TableColumn(
-            "run", "name or number of the run", is_required=True, is_name=True, expected="a name or number"
-        ),
+        TableColumn("run", "name or number of the run", is_required=True, is_name=True, expected="a name or number"),
         TableColumn("t_s", "time", is_required=True),
         TableColumn("q{}_rad", "encoder angles, through nominal ratio and zero", is_required=True),
         TableColumn("q{}_set_rad", "set-points"),
@@ -90,9 +88,7 @@ class LoggedRun:
             voltage_V=frozen(self.voltage_V[rows]),
             payload_kg=frozen(self.payload_kg[rows]),
             tip_m=frozen(self.tip_m[rows]),
-            extra=MappingProxyType(
-                {column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}
-            ),
+            extra=MappingProxyType({column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}),
         )
 
     @property
@@ -235,17 +231,12 @@ def with_ideal_drives(arm: Arm) -> Arm:
     """
     has = {drive.joint: drive for drive in arm.drives}
     joints = range(1, arm.joint_count + 1)
-    return dataclasses.replace(
-        arm, drives=tuple(has.get(j, dataclasses.replace(IDEAL, joint=j)) for j in joints)
-    )
+    return dataclasses.replace(arm, drives=tuple(has.get(j, dataclasses.replace(IDEAL, joint=j)) for j in joints))
 
 
 def without_voltages(log: Log) -> Log:
     """The log without its voltages, which say nothing where motors are not known."""
-    runs = tuple(
-        dataclasses.replace(run, voltage_V=frozen(run.voltage_V * math.nan), is_commanded=False)
-        for run in log.runs
-    )
+    runs = tuple(dataclasses.replace(run, voltage_V=frozen(run.voltage_V * math.nan), is_commanded=False) for run in log.runs)
     return dataclasses.replace(log, runs=runs)
 
 

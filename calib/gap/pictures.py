@@ -70,9 +70,7 @@ def ladder_picture(steps: Sequence[tuple[str, float]], judged_on: str) -> str:
         names = [name if k == 0 else f"+ {name}" for k, (name, _) in enumerate(steps)]
         axes.set_yticks(list(range(count)), [*names, "left, beside the noise"])
         axes.invert_yaxis()
-        axes.set_xlabel(
-            f"gap over noise on {judged_on} (dashed: 1, noise only); a bar is the reduction by its step"
-        )
+        axes.set_xlabel(f"gap over noise on {judged_on} (dashed: 1, noise only); a bar is the reduction by its step")
 
     return svg((10.4, 0.9 + 0.36 * (len(steps) + 1)), draw)
 
@@ -146,9 +144,7 @@ def map_picture(drawn: DrawnMap) -> str:
     )
 
 
-def _over(
-    at: Array, data: Array, curves: Sequence[tuple[str, Array, str, str]], xlabel: str, ylabel: str
-) -> str:
+def _over(at: Array, data: Array, curves: Sequence[tuple[str, Array, str, str]], xlabel: str, ylabel: str) -> str:
     """Data less all other terms, and curves (label, values, mark, colour): nearly all data, and the whole of the curves."""
     some = slice(None, None, max(1, len(at) // DOTS_MOST))
     ends = [np.nanquantile(data, (1.0 - SHOWN, SHOWN)), *(own for _, own, _, _ in curves)]
@@ -187,10 +183,7 @@ def recordings_picture(gap: StaticGap) -> str:
         words.append(", ".join([setup, *([f"{payload:g} kg"] * has_load), *([side] * has_side)]))
     labels = np.array(words if len(set(words)) <= NAMES_MOST else points.setup)
     names = list(dict.fromkeys(labels.tolist()))
-    stages = [
-        (name, [rms(residual[labels == one]) / gap.floor.tip_m for one in names])
-        for name, residual in _compared(gap)
-    ]
+    stages = [(name, [rms(residual[labels == one]) / gap.floor.tip_m for one in names]) for name, residual in _compared(gap)]
     kept = set() if gap.split.is_by_pose else set(labels[gap.split.report].tolist())
     title = "by recording; * held out" if kept else "by recording; some poses of each are held out"
     return by_place([f"{one}{'  *' if one in kept else ''}" for one in names], stages, title)

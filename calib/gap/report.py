@@ -99,21 +99,27 @@ def _effects(found: GapFinding) -> Section:
         return Section("Added to the model", paragraph("Nothing."))
     rows = [row for effect in found.effects for row in _parameter_rows(effect)]
     header = (
-        ("text", "effect"), ("text", "parameter"), "value", "sd", "probability", "share of the excess [%]",
-        "departs from its law [%]", "gap after",
-    )  # fmt: skip
+        ("text", "effect"),
+        ("text", "parameter"),
+        "value",
+        "sd",
+        "probability",
+        "share of the excess [%]",
+        "departs from its law [%]",
+        "gap after",
+    )
     return Section("Added to the model, in this order", table(header, rows))
 
 
 def _parameter_rows(effect: NamedEffect) -> Iterator[tuple[tuple[str, str] | str, ...]]:
-    largest = sorted(effect.parameters.items(), key=lambda item: -abs(item[1][0]) / max(item[1][1], 1e-12))[
-        :MOST_PARAMETERS
-    ]
+    largest = sorted(effect.parameters.items(), key=lambda item: -abs(item[1][0]) / max(item[1][1], 1e-12))[:MOST_PARAMETERS]
     shown = [(name, value) for name, value in effect.parameters.items() if (name, value) in largest]
     figures = (
-        _number(effect.probability, ".3f"), _number(100.0 * effect.share, ".1f"), _number(100.0 * effect.departure, ".1f"),
+        _number(effect.probability, ".3f"),
+        _number(100.0 * effect.share, ".1f"),
+        _number(100.0 * effect.departure, ".1f"),
         _number(effect.gap_after, ".3f"),
-    )  # fmt: skip
+    )
     for k, (name, (value, sd)) in enumerate(shown):
         first = k == 0
         yield (
@@ -137,10 +143,7 @@ def _left(found: GapFinding) -> Iterator[Section]:
     if not found.remainder:
         return
     header = (("text", "where"), "share of the excess [%]", ("text", "root mean square"))
-    rows = [
-        (("text", one.where), _number(100.0 * one.share, ".1f"), ("text", in_units(one.size_si)))
-        for one in found.remainder
-    ]
+    rows = [(("text", one.where), _number(100.0 * one.share, ".1f"), ("text", in_units(one.size_si))) for one in found.remainder]
     yield Section("Unexplained residual", table(header, rows))
 
 
@@ -161,9 +164,7 @@ def _static(gap: StaticGap) -> Iterator[Section]:
     )
     yield Section(
         "Static poses, by recording",
-        paragraph(
-            f"Noise of one axis of the tip: {1e3 * gap.floor.tip_m:.3f} mm, from {gap.floor.source}. {how}"
-        )
+        paragraph(f"Noise of one axis of the tip: {1e3 * gap.floor.tip_m:.3f} mm, from {gap.floor.source}. {how}")
         + recordings_picture(gap),
     )
     yield Section("Static poses, by place", places_picture(gap))
@@ -178,27 +179,22 @@ def _joints(gap: StaticGap) -> Sequence[int]:
     named = [one.name.acts_on for one in gap.finding.effects]
     found = [joint for joint in dict.fromkeys(named) if joint is not None and joint <= gap.points.joint_count]
     if gap.finding.unknown is not None:
-        found += [
-            j for j in range(1, gap.points.joint_count + 1) if f"joint {j}:" in gap.finding.unknown.where
-        ]
+        found += [j for j in range(1, gap.points.joint_count + 1) if f"joint {j}:" in gap.finding.unknown.where]
     return list(dict.fromkeys(found)) or [int(np.argmax(np.ptp(gap.points.q_rad, axis=0))) + 1]
 
 
 def _nameable(found: GapFinding) -> Section:
     rows = [
         (
-            str(one.name), f"{one.detectability:.1f}", f"{one.needed_sd:.1f}",
-            ("text", listed(one.confusable_with) if one.confusable_with else ""), ("text", "yes" if one.is_nameable else "no"),
+            str(one.name),
+            f"{one.detectability:.1f}",
+            f"{one.needed_sd:.1f}",
+            ("text", listed(one.confusable_with) if one.confusable_with else ""),
+            ("text", "yes" if one.is_nameable else "no"),
         )
         for one in sorted(found.nameable, key=lambda one: (one.name.effect, one.name.joint or 0))
-    ]  # fmt: skip
-    header = (
-        "effect",
-        "detectability [sd]",
-        "needed [sd]",
-        ("text", "indistinguishable from"),
-        ("text", "identifiable"),
-    )
+    ]
+    header = ("effect", "detectability [sd]", "needed [sd]", ("text", "indistinguishable from"), ("text", "identifiable"))
     return Section(
         "Effects that this data could identify",
         paragraph(
@@ -244,9 +240,7 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
     """The gap by channel, which run and channel show most, and what is left along what was named."""
     found, before, table_ = outcome.finding, outcome.before, outcome.rows
     kept = ", ".join(name for name in outcome.run_names if name in outcome.split.report_runs)
-    about = paragraph(
-        f"The noise floor comes from {table_.floor_source}; runs {kept} were held out for the report."
-    )
+    about = paragraph(f"The noise floor comes from {table_.floor_source}; runs {kept} were held out for the report.")
     said = bullets(outcome.warnings) if outcome.warnings else ""
     if math.isfinite(found.gap_before):
         drawn = channels_picture(outcome)
@@ -266,11 +260,7 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
     for effect in found.effects:
         if (cell := _cell_of(outcome, effect.name)) is not None:
             is_wave = comes_round(effect.name.effect)
-            drawn = (
-                spectrum_picture(outcome, cell, effect)
-                if is_wave
-                else motion_picture(outcome, cell, str(effect.name))
-            )
+            drawn = spectrum_picture(outcome, cell, effect) if is_wave else motion_picture(outcome, cell, str(effect.name))
             yield Section(f"Time series: along {effect.name}", drawn)
     if not found.effects and found.unknown is not None and cells:
         yield Section(f"Time series: residual in {cells[0]}", motion_picture(outcome, cells[0], "residual"))
@@ -292,11 +282,7 @@ def map_sections(found: MapsFound) -> Iterator[Section]:
     """What measured maps are good for, and each table beside what was measured; none where no map helped: a note says that."""
     if not found.drawn:
         return
-    header = (
-        ("text", "on recordings that were not fitted"),
-        ("before", "without maps"),
-        ("after", "with maps"),
-    )
+    header = (("text", "on recordings that were not fitted"), ("before", "without maps"), ("after", "with maps"))
     rows: list[tuple[str | tuple[str, str], ...]] = []
     for one in found.checks:
         unit, factor = unit_of(one.channel)

@@ -55,9 +55,7 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         )
     yield from _departing(found)
     yield from _maps(found)
-    blind = [
-        one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}
-    ]
+    blind = [one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}]
     if blind:
         yield (
             f"This data could not name {_some(blind)} of usual size (too small beside the noise, or indistinguishable from"
@@ -114,8 +112,7 @@ def _nearest(unknown: Unknown) -> str:
 def parameters_text(effect: NamedEffect) -> str:
     """As `width_rad = 0.0051 +- 0.0001`."""
     return ", ".join(
-        f"{name} = {value:.4g}" + (f" +- {sd:.2g}" if sd == sd else "")
-        for name, (value, sd) in effect.parameters.items()
+        f"{name} = {value:.4g}" + (f" +- {sd:.2g}" if sd == sd else "") for name, (value, sd) in effect.parameters.items()
     )
 
 

@@ -71,9 +71,7 @@ def brought_together(static: GapFinding | None, dynamic: GapFinding | None) -> G
             raise ValueError("expected the finding of at least one level")
         return only
     static, dynamic = _as_looked_at(static, dynamic), _as_looked_at(dynamic, static)
-    sentences = [
-        one[:1].upper() + one[1:] for one in (static.next_experiment, dynamic.next_experiment) if one
-    ]
+    sentences = [one[:1].upper() + one[1:] for one in (static.next_experiment, dynamic.next_experiment) if one]
     open_ = [one for one in (static.unknown, dynamic.unknown) if one is not None]
     nearest = max(open_, key=lambda one: one.explained, default=None)
     seen: dict[EffectName, Nameable] = {}  # every effect where it is seen better
@@ -95,8 +93,7 @@ def brought_together(static: GapFinding | None, dynamic: GapFinding | None) -> G
         after_si={**dynamic.after_si, **static.after_si},
         effects=_effects(static, dynamic),
         ambiguous=_sets(static, dynamic),
-        unknown=nearest
-        and dataclasses.replace(nearest, where="; ".join(dict.fromkeys(one.where for one in open_))),
+        unknown=nearest and dataclasses.replace(nearest, where="; ".join(dict.fromkeys(one.where for one in open_))),
         nameable=tuple(seen.values()),
         next_experiment=" ".join(one if one.endswith(".") else f"{one}." for one in sentences) or None,
         is_held_out=static.is_held_out and dynamic.is_held_out,
@@ -193,11 +190,7 @@ class Recordings:
 
 
 def read_recordings(
-    arm: Arm,
-    points: Sequence[str | Path],
-    logs: Sequence[str | Path],
-    current_unit: str = AMPERES,
-    is_as_given: bool = False,
+    arm: Arm, points: Sequence[str | Path], logs: Sequence[str | Path], current_unit: str = AMPERES, is_as_given: bool = False
 ) -> Recordings:
     """All files, read strictly; CalibrationError where one cannot be used, or where there is none.
 
@@ -208,9 +201,7 @@ def read_recordings(
     if current_unit != AMPERES:
         amperes_per(motors, current_unit)
     if not points and not logs:
-        raise CalibrationError(
-            "gap: give --points for static poses, --log for time series, or both; --record records them"
-        )
+        raise CalibrationError("gap: give --points for static poses, --log for time series, or both; --record records them")
     point_files, log_files = tuple(map(Path, points)), tuple(map(Path, logs))
     poses = [base_points_for(arm, point_files, "gap", is_as_given)] if point_files else []
     runs = [read_log(path, arm.joint_count) for path in log_files]
@@ -226,12 +217,7 @@ def read_recordings(
 
 
 def find_gap(
-    arm: Arm,
-    points: Points | None = None,
-    log: Log | None = None,
-    *,
-    without: Collection[str] = (),
-    advance: Advance = silent,
+    arm: Arm, points: Points | None = None, log: Log | None = None, *, without: Collection[str] = (), advance: Advance = silent
 ) -> GapOutcome:
     """What the model of `arm` lacks, by static poses (`points`), by time series (`log`), or by both.
 
@@ -263,16 +249,13 @@ def find_gap(
         file = None
         if static is not None:
             # what the runs tell settles what the poses left open; then what one file of both leaves of the runs
-            static = look(
-                static.looked, lambda what, done: advance(what, last + (1.0 - last) * done), runs.told
-            )
+            static = look(static.looked, lambda what, done: advance(what, last + (1.0 - last) * done), runs.told)
             both = brought_together(static.finding, as_totals(arm, runs.finding))
             doubts = changed_between(both, static.told, runs.told)
             file = _updated(arm, both, static)
         dynamic = runs.outcome(file)
     finding = brought_together(
-        None if static is None else static.finding,
-        None if dynamic is None else as_totals(arm, dynamic.finding),
+        None if static is None else static.finding, None if dynamic is None else as_totals(arm, dynamic.finding)
     )
     levels = [one for one in (static, dynamic) if one is not None]
     warnings = (*doubts, *said, *(sentence for one in levels for sentence in one.warnings))
@@ -296,11 +279,7 @@ def _with_given_numbers(found: GapOutcome, before: Mapping[int, int]) -> GapOutc
 
 
 def find_gap_in(
-    arm: Arm,
-    recordings: Recordings,
-    without: Collection[str] = (),
-    advance: Advance = silent,
-    with_maps: bool = False,
+    arm: Arm, recordings: Recordings, without: Collection[str] = (), advance: Advance = silent, with_maps: bool = False
 ) -> GapOutcome:
     """`find_gap` of recordings that were read from files: the finding names the files.
 
@@ -336,9 +315,7 @@ def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
     shared = found.finding.maps or MeasuredMaps()
     summary = MeasuredMaps((*shared.maps, *maps.maps), (*shared.checks, *maps.checks))
     finding = dataclasses.replace(found.finding, maps=summary)
-    return dataclasses.replace(
-        found, finding=finding, maps=maps, mapped=model, warnings=(*found.warnings, *maps.sentences)
-    )
+    return dataclasses.replace(found, finding=finding, maps=maps, mapped=model, warnings=(*found.warnings, *maps.sentences))
 
 
 def _updated(arm: Arm, finding: GapFinding, static: StaticGap | None) -> Arm:
@@ -376,9 +353,7 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     save_arm(model, out / "arm.toml")
     try:
         page = gap_page(outcome, made)
-    except (
-        Exception
-    ) as error:  # whatever a picture stumbles over, the words stand: what was found is worth more
+    except Exception as error:  # whatever a picture stumbles over, the words stand: what was found is worth more
         said = f"the pictures could not be drawn ({type(error).__name__}: {error}): please report this"
         bare = GapOutcome(outcome.finding, None, None, (*outcome.warnings, said), outcome.maps)
         page = gap_page(bare, made)
@@ -400,9 +375,7 @@ def consistent(found: GapFinding) -> GapFinding:
     """The same without sets that a name has settled, and with what is left said where nothing else says it."""
     named = {effect.name for effect in found.effects}
     sets = tuple(names for names in found.ambiguous if not named.intersection(names))
-    settled = (
-        found if sets == found.ambiguous else dataclasses.replace(found, ambiguous=sets, next_experiment=MORE)
-    )
+    settled = found if sets == found.ambiguous else dataclasses.replace(found, ambiguous=sets, next_experiment=MORE)
     is_silent = found.unknown is None and not sets and not found.remainder
     if is_silent and found.unexplained > SILENT_MOST:
         return dataclasses.replace(settled, unknown=Unknown(_left(settled), None, 0.0), next_experiment=MORE)

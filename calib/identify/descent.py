@@ -56,9 +56,7 @@ class PoseSample:
         """The objective of residuals (n, 3), smoothed."""
         return self.objective.value(self.objective.distances(residuals), smoothing_m)
 
-    def around(
-        self, x: Array, smoothing_m: float, before: Quadratic | None, is_bent: bool = True
-    ) -> Quadratic:
+    def around(self, x: Array, smoothing_m: float, before: Quadratic | None, is_bent: bool = True) -> Quadratic:
         """Second-order expansion around x, with the kinematics' if `is_bent`; the dual is that of a step from `before` to x."""
         k, done = len(x), 0
         gradient, gram, curvature = np.zeros(k), np.zeros((k, k)), np.zeros((k, k))
@@ -77,13 +75,7 @@ class PoseSample:
             done += len(here.residuals)
         present = [dual for dual in duals if dual is not None]
         return Quadratic(
-            x,
-            smoothing_m,
-            np.concatenate(residuals),
-            np.concatenate(present) if present else None,
-            gradient,
-            gram,
-            curvature,
+            x, smoothing_m, np.concatenate(residuals), np.concatenate(present) if present else None, gradient, gram, curvature
         )
 
     def _dual(self, residuals: Array, part: slice, before: Quadratic | None) -> Array | None:
@@ -266,9 +258,7 @@ class _Descent:
     def _resmoothed(self) -> Quadratic:
         """The present point with less smoothing."""
         here = self._here
-        return self._sample.around(
-            here.x, self._less(), here if here.dual is not None else None, self._goal.is_bent
-        )
+        return self._sample.around(here.x, self._less(), here if here.dual is not None else None, self._goal.is_bent)
 
     def _step(self) -> tuple[Array, float]:
         """The minimising step in the box, and the predicted decrease."""
@@ -284,9 +274,7 @@ class _Descent:
 
     def _try(self, d: Array, promise: float, value: float, smoothing_m: float) -> None:
         """Take the step if the objective decreases, and adapt the damping."""
-        there = self._sample.around(
-            self._inside(self._here.x + d), smoothing_m, self._here, self._goal.is_bent
-        )
+        there = self._sample.around(self._inside(self._here.x + d), smoothing_m, self._here, self._goal.is_bent)
         achieved = (value - self._merit(there)) / promise
         if achieved < GOOD and promise < VALLEY * value:
             restored = self._restored(there)

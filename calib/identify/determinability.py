@@ -55,9 +55,7 @@ def open_in_words(groups: Sequence[Undetermined]) -> tuple[str, ...]:
     by_compensation: dict[tuple[bool, tuple[str, ...]], list[str]] = {}
     for group in groups:
         if len(group.names) == group.freedoms_count:
-            by_compensation.setdefault((_is_of_a_body(group.names[0]), group.taken_up_by), []).extend(
-                group.names
-            )
+            by_compensation.setdefault((_is_of_a_body(group.names[0]), group.taken_up_by), []).extend(group.names)
     singles = [_alone(names, by) for (_, by), names in by_compensation.items()]
     return (*singles, *(group.words for group in groups if len(group.names) != group.freedoms_count))
 
@@ -82,9 +80,7 @@ def _coupled(projector: Array, k: int, j: int) -> float:
     return float(NOTICEABLE * np.sqrt(projector[k, k] * projector[j, j]))
 
 
-def _describe(
-    group: list[int], held: Array, taken_up: Array, parameters: tuple[Parameter, ...]
-) -> Undetermined:
+def _describe(group: list[int], held: Array, taken_up: Array, parameters: tuple[Parameter, ...]) -> Undetermined:
     """One group with a sentence about it."""
     names = tuple(parameters[k].name for k in group)
     own = held[group] @ held[group].T
@@ -105,10 +101,7 @@ def _bodies(names: list[str]) -> tuple[str, ...]:
 def _alone(names: list[str], by: tuple[str, ...]) -> str:
     """Individually undetermined parameters."""
     if all(_is_of_a_body(name) for name in names):
-        return (
-            f"{_listed(names)} {_has(names)} no effect on these points, which lie on one line; no result"
-            " depends on it"
-        )
+        return f"{_listed(names)} {_has(names)} no effect on these points, which lie on one line; no result depends on it"
     stay = "it stays at nominal" if len(names) == 1 else "they stay at nominal"
     if not by:
         return f"{_listed(names)} {_has(names)} no effect on these points; {stay}"
@@ -145,9 +138,7 @@ def _where(by: tuple[str, ...]) -> str:
         bodies.append(f"the place of {_listed([name.replace('_', ' ', 1) for name in devices])}")
     boards = [name for name in by if name not in ("tool", "base", *devices)]
     if boards:
-        bodies.append(
-            "the poses of the boards" if len(boards) > 1 else f"the pose of {boards[0].replace('_', ' ', 1)}"
-        )
+        bodies.append("the poses of the boards" if len(boards) > 1 else f"the pose of {boards[0].replace('_', ' ', 1)}")
     return _listed(bodies)
 
 
@@ -172,9 +163,7 @@ def _trade(row: Array, group: list[int], parameters: tuple[Parameter, ...]) -> s
     """A change that moves no tip, such as `d2 +1.00 mm with d3 -1.00 mm`."""
     largest = float(np.max(np.abs(row)))
     return " with ".join(
-        _change(parameters[k], share / largest)
-        for k, share in zip(group, row, strict=True)
-        if abs(share) > NOTICEABLE * largest
+        _change(parameters[k], share / largest) for k, share in zip(group, row, strict=True) if abs(share) > NOTICEABLE * largest
     )
 
 
@@ -292,9 +281,7 @@ def determinability(sensitivity: Array, parameters: tuple[Parameter, ...]) -> De
     )
 
 
-def null_space(
-    sensitivity: Array, parameters: tuple[Parameter, ...], tolerance: float, least_m: float = 0.0
-) -> Array:
+def null_space(sensitivity: Array, parameters: tuple[Parameter, ...], tolerance: float, least_m: float = 0.0) -> Array:
     """Orthonormal combinations of unknowns (k, k - rank) that the points leave undetermined and that stay at nominal.
 
     Separately for bounded and unbounded ones; with these combinations at zero, the points determine the rest. `least_m`:

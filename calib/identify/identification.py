@@ -15,14 +15,7 @@ from calib.arm_problem.posed import WeightedProblem, posed_part, whole_problem
 from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
-from calib.identify.determinability import (
-    NOTICEABLE,
-    Determinability,
-    Sensitivity,
-    Undetermined,
-    determinability,
-    open_in_words,
-)
+from calib.identify.determinability import NOTICEABLE, Determinability, Sensitivity, Undetermined, determinability, open_in_words
 from calib.identify.objective import Objective, SumOfDistances, value_of
 from calib.identify.solver import Accuracy, Minimum, minimise
 
@@ -164,11 +157,7 @@ class Estimation:
 
 
 def uncertainty(
-    parameters: tuple[Parameter, ...],
-    objective: Objective,
-    x: Array,
-    residuals: Array,
-    sensitivity: Sensitivity,
+    parameters: tuple[Parameter, ...], objective: Objective, x: Array, residuals: Array, sensitivity: Sensitivity
 ) -> Estimation:
     """Uncertainty of the optimum x (k,) with residuals (m, 3)."""
     limits = np.array([parameter.limit for parameter in parameters])
@@ -182,9 +171,7 @@ def uncertainty(
         spread[free] = part.spread
     shares = np.concatenate([leverages(part, spread) for _, part in sensitivity.blocks()])
     noise = noise_scale(objective, residuals, shares)
-    sd = np.where(
-        resting, np.nan, np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread))
-    )
+    sd = np.where(resting, np.nan, np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread)))
     lower, upper = _intervals(x, limits, resting, known, noise, objective, residuals, sensitivity)
     scale = np.array([parameter.scale for parameter in parameters])
     estimates = tuple(
@@ -220,15 +207,11 @@ def _intervals(
         slope = _slope(objective, residuals, sensitivity, resting)
         outward = np.where(np.sign(slope) == -np.sign(x[resting]), slope, 0.0)
         middle -= known.spread @ (known.spread[resting].T @ outward) / noise.curvature
-    half = noise.quantile(LEVEL) * np.sqrt(
-        noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread)
-    )
+    half = noise.quantile(LEVEL) * np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread))
     return np.clip(middle - half, -limits, limits), np.clip(middle + half, -limits, limits)
 
 
-def _slope(
-    objective: Objective, residuals: Array, sensitivity: Sensitivity, resting: npt.NDArray[np.bool_]
-) -> Array:
+def _slope(objective: Objective, residuals: Array, sensitivity: Sensitivity, resting: npt.NDArray[np.bool_]) -> Array:
     """Derivative of the objective by each unknown at its bound.
 
     A residual at a kink has any score up to one: the one that keeps the other unknowns in place.
@@ -243,9 +226,7 @@ def _slope(
         score[kinked] = 0.0
         pull = sensitivity.pulled(score)[~resting]
         scale = np.maximum(np.linalg.norm(sensitivity.compact[:, 0, ~resting], axis=0), 1e-300)
-        answer, *_ = np.linalg.lstsq(
-            (sensitivity.chosen(kinked)[:, ~resting] / scale).T, -pull / scale, rcond=1e-9
-        )
+        answer, *_ = np.linalg.lstsq((sensitivity.chosen(kinked)[:, ~resting] / scale).T, -pull / scale, rcond=1e-9)
         score[kinked] = np.clip(answer, -1.0, 1.0)
     return sensitivity.pulled(score)[resting]
 
@@ -420,11 +401,7 @@ def _require_plain(problem: ArmProblem, accuracy_limit_m: float | None) -> None:
 
 
 def _solved(
-    problem: ArmProblem,
-    objective: Objective,
-    starts_count: int,
-    seed: int,
-    accuracy_limit_m: float | None = None,
+    problem: ArmProblem, objective: Objective, starts_count: int, seed: int, accuracy_limit_m: float | None = None
 ) -> tuple[Problem, Minimum]:
     """The whole problem and its minimum. Covariances in a frame that was identified are turned to it, and all is solved again."""
     whole = whole_problem(problem)
@@ -481,7 +458,5 @@ def _about_bounds(bound: list[Estimate]) -> list[str]:
             " determine it too weakly, or an effect other than geometry is present."
         )
     if loose:
-        sentences.append(
-            f"At the bound, but not determined individually by these points: {', '.join(loose)}."
-        )
+        sentences.append(f"At the bound, but not determined individually by these points: {', '.join(loose)}.")
     return sentences

@@ -39,9 +39,7 @@ class LinearFit:
         residuals, jacobian = problem.residuals_and_jacobian(x)
         limits = np.array([parameter.limit for parameter in problem.parameters])
         free = np.flatnonzero(np.abs(x) < AT_BOUND * limits)
-        known = determinability(
-            Sensitivity.at(problem, x).compact[:, :, free], tuple(problem.parameters[k] for k in free)
-        )
+        known = determinability(Sensitivity.at(problem, x).compact[:, :, free], tuple(problem.parameters[k] for k in free))
         columns = jacobian[:, :, free] @ known.basis
         weights = position_weights(problem, problem.solution(x).frames)
         if weights is not None:

@@ -44,17 +44,13 @@ class Objective(Protocol):
     def weights(self, distances_m: Array, smoothing_m: float) -> tuple[Array, Array]:
         """rho'(s) / s and rho''(s) of each distance s: curvature across and along the residual."""
 
-    def expansion(
-        self, residuals: Array, smoothing_m: float, dual: Array | None
-    ) -> tuple[Array, Array | None]:
+    def expansion(self, residuals: Array, smoothing_m: float, dual: Array | None) -> tuple[Array, Array | None]:
         """First derivative (m, 3), and second as diagonals (3, m) or matrices (3, 3, m); None for ones.
 
         `dual` (m, 3), or None at the start.
         """
 
-    def next_dual(
-        self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
-    ) -> Array | None:
+    def next_dual(self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None) -> Array | None:
         """The dual after a step that took `residuals` (m, 3) to `moved`; None if there is no kink."""
 
 
@@ -85,9 +81,7 @@ class SumOfDistances(_Rounded):
         """Lengths, (m,)."""
         return norms(residuals)
 
-    def expansion(
-        self, residuals: Array, smoothing_m: float, dual: Array | None
-    ) -> tuple[Array, Array | None]:
+    def expansion(self, residuals: Array, smoothing_m: float, dual: Array | None) -> tuple[Array, Array | None]:
         """U = r / sqrt(|r|^2 + e^2) and (1 - (z u' + u z') / 2) / sqrt(|r|^2 + e^2)."""
         across, _ = self.weights(norms(residuals), smoothing_m)
         unit = residuals * across[:, None]
@@ -97,9 +91,7 @@ class SumOfDistances(_Rounded):
         bend[[0, 1, 2], [0, 1, 2]] += across
         return unit, bend
 
-    def next_dual(
-        self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
-    ) -> Array | None:
+    def next_dual(self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None) -> Array | None:
         """Z + dz = (dr - z (u . dr)) / sqrt(|r|^2 + e^2) + u, brought back to |z| <= 1."""
         across = self.weights(norms(residuals), smoothing_m)[0][:, None]
         unit, step = residuals * across, moved - residuals
@@ -119,17 +111,13 @@ class SumOfCoordinates(_Rounded):
         """Absolute coordinates, (3m,)."""
         return np.abs(residuals).ravel()
 
-    def expansion(
-        self, residuals: Array, smoothing_m: float, dual: Array | None
-    ) -> tuple[Array, Array | None]:
+    def expansion(self, residuals: Array, smoothing_m: float, dual: Array | None) -> tuple[Array, Array | None]:
         """U = r / sqrt(r^2 + e^2) and (1 - z u) / sqrt(r^2 + e^2), coordinate by coordinate."""
         across, _ = self.weights(residuals, smoothing_m)
         unit = residuals * across
         return unit, (across * (1.0 - (unit if dual is None else dual) * unit)).T
 
-    def next_dual(
-        self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
-    ) -> Array | None:
+    def next_dual(self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None) -> Array | None:
         """As for E2, coordinate by coordinate."""
         across, _ = self.weights(residuals, smoothing_m)
         unit = residuals * across
@@ -157,15 +145,11 @@ class LeastSquares:
         ones = np.ones_like(distances_m)
         return ones, ones
 
-    def expansion(
-        self, residuals: Array, smoothing_m: float, dual: Array | None
-    ) -> tuple[Array, Array | None]:
+    def expansion(self, residuals: Array, smoothing_m: float, dual: Array | None) -> tuple[Array, Array | None]:
         """R and ones."""
         return residuals, None
 
-    def next_dual(
-        self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
-    ) -> Array | None:
+    def next_dual(self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None) -> Array | None:
         """None: there is no kink."""
         return None
 
@@ -183,9 +167,7 @@ class Huber:
     def __post_init__(self) -> None:
         """CalibrationError for an invalid threshold."""
         if self.threshold_m is not None and not 0.0 < self.threshold_m < np.inf:
-            raise CalibrationError(
-                f"threshold of the objective huber: expected a positive length in m, got {self.threshold_m}"
-            )
+            raise CalibrationError(f"threshold of the objective huber: expected a positive length in m, got {self.threshold_m}")
 
     @property
     def name(self) -> str:
@@ -222,9 +204,7 @@ class Huber:
         across = np.where(is_near, 1.0, self.bend_m / np.maximum(distances_m, self.bend_m))
         return across, is_near.astype(float)
 
-    def expansion(
-        self, residuals: Array, smoothing_m: float, dual: Array | None
-    ) -> tuple[Array, Array | None]:
+    def expansion(self, residuals: Array, smoothing_m: float, dual: Array | None) -> tuple[Array, Array | None]:
         """R min(1, t / |r|); beyond the threshold t / |r| across the residual and 0 along it."""
         distances = norms(residuals)
         across, along = self.weights(distances, smoothing_m)
@@ -233,9 +213,7 @@ class Huber:
         bend[[0, 1, 2], [0, 1, 2]] += across
         return residuals * across[:, None], bend
 
-    def next_dual(
-        self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
-    ) -> Array | None:
+    def next_dual(self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None) -> Array | None:
         """None: there is no kink."""
         return None
 
@@ -243,9 +221,7 @@ class Huber:
 def objective_named(name: str, threshold_m: float | None = None) -> Objective:
     """The objective called e2, e1, lsq or huber; `threshold_m` is huber's. CalibrationError for another."""
     if threshold_m is not None and name != "huber":
-        raise CalibrationError(
-            f"threshold of {threshold_m} m: only the objective huber has a threshold, got objective {name}"
-        )
+        raise CalibrationError(f"threshold of {threshold_m} m: only the objective huber has a threshold, got objective {name}")
     known: dict[str, Objective] = {
         "e2": SumOfDistances(),
         "e1": SumOfCoordinates(),

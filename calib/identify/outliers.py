@@ -87,15 +87,12 @@ def find_outliers(
     found = outlier_test(fit, noise_m, false_alarm)
     rows = np.flatnonzero(~found.agrees)
     named = [
-        _outlier(problem, x, int(row), found, fit.unweighted(int(row), found.deleted_m[row]), cavities or {})
-        for row in rows
+        _outlier(problem, x, int(row), found, fit.unweighted(int(row), found.deleted_m[row]), cavities or {}) for row in rows
     ]
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
-def outlier_test(
-    fit: LinearFit, noise_m: float = RESOLUTION_m, false_alarm: float = FALSE_ALARM
-) -> OutlierTest:
+def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m, false_alarm: float = FALSE_ALARM) -> OutlierTest:
     """Test which points agree, given noise of one axis of at least noise_m; all if there are too few.
 
     `false_alarm`: probability that one of a clean session does not.
@@ -179,9 +176,7 @@ def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
     return np.asarray(agreeing)
 
 
-def _outlier(
-    problem: ArmProblem, x: Array, row: int, found: OutlierTest, off_m: Array, cavities: Mapping[str, Array]
-) -> Outlier:
+def _outlier(problem: ArmProblem, x: Array, row: int, found: OutlierTest, off_m: Array, cavities: Mapping[str, Array]) -> Outlier:
     """The outlier of a row, with its cause."""
     observed = problem.observed
     setup = observed.setup[row] if observed.setup else ""
@@ -238,9 +233,7 @@ def cause_of(
     return OutlierCause(is_near=bool(np.linalg.norm(deleted_m) < NOT_SEATED_m))
 
 
-def _other_cavity(
-    problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float, cavities: Mapping[str, Array]
-) -> str:
+def _other_cavity(problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float, cavities: Mapping[str, Array]) -> str:
     """The cavity at the arm's tip; empty if there is none, or more than one."""
     observed = problem.observed
     if not observed.point:
@@ -265,9 +258,7 @@ def _other_cavity(
     return list(places)[int(order[0])]
 
 
-def _slipped_joints(
-    problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float
-) -> list[tuple[int, float]]:
+def _slipped_joints(problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float) -> list[tuple[int, float]]:
     """Joints of which a change of the angle alone moves the tip to the reference: (joint, change)."""
     solution = problem.solution(x)
     q = problem.observed.q_rad[row : row + 1]
@@ -293,9 +284,7 @@ def _slipped_joints(
 # Contradictions among the points: shifted setups, slipped encoders, single outliers.
 
 
-PART = (
-    50_000  # points that are compared with each other: far more than the fit's unknowns need, in some 100 MB
-)
+PART = 50_000  # points that are compared with each other: far more than the fit's unknowns need, in some 100 MB
 REPORTED_LIMIT = 10  # outliers reported individually
 REPORTED_IF_SYSTEMATIC = 3
 SYSTEMATIC_COUNT = 12  # this many outliers without a slip indicate an effect
@@ -346,9 +335,7 @@ class Suspects:
         listed_count = REPORTED_IF_SYSTEMATIC if self.is_systematic else REPORTED_LIMIT
         sentences += [one.words for one in single[:listed_count]]
         if len(single) > listed_count:
-            sentences.append(
-                f"{len(single) - listed_count} more points contradict the others, less than those listed"
-            )
+            sentences.append(f"{len(single) - listed_count} more points contradict the others, less than those listed")
         return tuple(sentences)
 
     def _single(self) -> list[Outlier]:
@@ -357,10 +344,7 @@ class Suspects:
 
 
 def find_suspects(
-    problem: ArmProblem,
-    x: Array,
-    cavities: Mapping[str, Array] | None = None,
-    noise_m: float = RESOLUTION_m,
+    problem: ArmProblem, x: Array, cavities: Mapping[str, Array] | None = None, noise_m: float = RESOLUTION_m
 ) -> Suspects:
     """Find suspects around the solution x (k,) of a problem; points of a shifted setup are compared only with each other.
 

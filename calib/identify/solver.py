@@ -77,9 +77,7 @@ class WithDistances:
     def value(self, distances_m: Array, smoothing_m: float) -> float:
         """The sum of both."""
         of_first, lengths = self._split(distances_m)
-        return self.first.value(of_first, smoothing_m) + self.multiplier * self._second.value(
-            lengths, smoothing_m
-        )
+        return self.first.value(of_first, smoothing_m) + self.multiplier * self._second.value(lengths, smoothing_m)
 
     def weights(self, distances_m: Array, smoothing_m: float) -> tuple[Array, Array]:
         """Of lengths, (m,)."""
@@ -87,20 +85,16 @@ class WithDistances:
         more_across, more_along = self._second.weights(distances_m, smoothing_m)
         return across + self.multiplier * more_across, along + self.multiplier * more_along
 
-    def expansion(
-        self, residuals: Array, smoothing_m: float, dual: Array | None
-    ) -> tuple[Array, Array | None]:
+    def expansion(self, residuals: Array, smoothing_m: float, dual: Array | None) -> tuple[Array, Array | None]:
         """The sums of both."""
         one, two = (None, None) if dual is None else (dual[:, :3], dual[:, 3:])
         pull, bend = self.first.expansion(residuals, smoothing_m, one)
         more_pull, more_bend = self._second.expansion(residuals, smoothing_m, two)
-        return pull + self.multiplier * more_pull, _matrices(
-            bend, len(residuals)
-        ) + self.multiplier * _matrices(more_bend, len(residuals))
+        return pull + self.multiplier * more_pull, _matrices(bend, len(residuals)) + self.multiplier * _matrices(
+            more_bend, len(residuals)
+        )
 
-    def next_dual(
-        self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None
-    ) -> Array | None:
+    def next_dual(self, residuals: Array, moved: Array, smoothing_m: float, dual: Array | None) -> Array | None:
         """Both duals, side by side; zeros for an objective without kinks."""
         one, two = (None, None) if dual is None else (dual[:, :3], dual[:, 3:])
         first = self.first.next_dual(residuals, moved, smoothing_m, one)
@@ -307,8 +301,7 @@ class _Ends:
         at_bound = np.sign(x) * (np.abs(x) >= self._limits)
         near = SAME * float(np.mean(norms(residuals)))
         is_new = value <= self._lowest * (1.0 + ROUGH_ERROR) and not any(
-            np.array_equal(at_bound, bounds) and float(np.mean(norms(residuals - other))) < near
-            for bounds, other in self._seen
+            np.array_equal(at_bound, bounds) and float(np.mean(norms(residuals - other))) < near for bounds, other in self._seen
         )
         if is_new:
             self._seen.append((at_bound, residuals))
@@ -329,9 +322,7 @@ def _finished(problem: Problem, objective: Objective, rough: SearchEnd) -> Minim
     """The search to convergence on all poses."""
     sample = PoseSample(problem, objective)
     end = descend(sample, rough.x, _fine(sample))
-    return Minimum(
-        end.x, sample.value(end.x), rough.steps_count + end.steps_count, end.is_converged, objective
-    )
+    return Minimum(end.x, sample.value(end.x), rough.steps_count + end.steps_count, end.is_converged, objective)
 
 
 def _fine(sample: PoseSample) -> Termination:
@@ -350,10 +341,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
     stiffness = stride * _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full((len(problem), 3), NOTHING_M)), 0.0)
     tried = -1
-    sensitivity, noise_m = (
-        Sensitivity.at(problem, best.x).compact,
-        0.0 if equal == "exactly" else _noise_m(problem, best.x),
-    )
+    sensitivity, noise_m = (Sensitivity.at(problem, best.x).compact, 0.0 if equal == "exactly" else _noise_m(problem, best.x))
     # First what the noise hides: a change by its bound is less than a standard deviation. Rotations of arm and board
     # together cost nothing, unless the objective depends on axes (absolute coordinates).
     ways = [(sensitivity, RANK_TOLERANCES[0], noise_m)] if noise_m else []

@@ -75,17 +75,13 @@ def direction_criterion(groups: Groups) -> Criterion:
     figures, needs = [], []
     for point, directions in by_point.items():
         if len(directions) < 3:
-            needs.append(
-                f"{point} approached from three perpendicular directions; got {', '.join(directions)}"
-            )
+            needs.append(f"{point} approached from three perpendicular directions; got {', '.join(directions)}")
         if len(directions) >= 2:
             value = pose.multidirectional_variation(list(directions.values()))
             count = min(len(attained) for attained in directions.values())
             figures.append(Figure("vAP_p", value, "m", point, count))
     if not by_point:
-        needs.append(
-            "poses reached from three perpendicular directions: setups from_x, from_y and from_z in points.csv"
-        )
+        needs.append("poses reached from three perpendicular directions: setups from_x, from_y and from_z in points.csv")
     return criterion(2, with_headlines(figures), needs)
 
 
@@ -120,11 +116,7 @@ def drift_criterion(groups: Groups) -> Criterion:
     sets = [g for g in groups if g.setup.startswith("drift_") and len(g.attained_m)]
     if len(sets) < 2:
         return criterion(
-            6,
-            (),
-            (
-                "the same pose measured again after a time (eight hours in the standard): setups drift_1, drift_2, ...",
-            ),
+            6, (), ("the same pose measured again after a time (eight hours in the standard): setups drift_1, drift_2, ...",)
         )
     first, last = sets[0], sets[-1]
     change = pose.drift(first.commanded_m, first.attained_m, last.attained_m)
@@ -133,9 +125,7 @@ def drift_criterion(groups: Groups) -> Criterion:
     n = min(len(first.attained_m), len(last.attained_m))
     figures = [
         Figure("dAP_p", change.accuracy_m, "m", where, n),
-        Figure(
-            "|barycentre shift|", change.barycentre_m, "m", where, n, remark="not defined in the standard"
-        ),
+        Figure("|barycentre shift|", change.barycentre_m, "m", where, n, remark="not defined in the standard"),
     ]
     if change.repeatability_m is not None:
         figures.insert(1, Figure("dRP_l", change.repeatability_m, "m", where, n))
@@ -148,9 +138,7 @@ def exchange_criterion(groups: Groups, others: Mapping[str, Groups]) -> Criterio
     needs = (
         []
         if len(others) >= 4
-        else [
-            f"the same programme run by four other arms of this type in the same place (--other POINTS); got {len(others)}"
-        ]
+        else [f"the same programme run by four other arms of this type in the same place (--other POINTS); got {len(others)}"]
     )
     if own is None or not others:
         return criterion(7, (), needs)
@@ -179,10 +167,7 @@ def load_criterion(groups: Groups) -> Criterion:
         return criterion(
             13,
             (),
-            (
-                "the tip measured under known loads: weights at the tip (--rated-load-kg), or "
-                + needs.format("x, y and z"),
-            ),
+            ("the tip measured under known loads: weights at the tip (--rated-load-kg), or " + needs.format("x, y and z"),),
         )
     forces = np.concatenate([g.force_N for g in loaded])
     try:
@@ -208,11 +193,7 @@ def _load_figures(found: Compliance, k: int, count: int) -> Iterator[Figure]:
 
 def clouds(groups: Groups) -> dict[str, Array]:
     """Attained minus commanded positions of the plain visits, by pose, for the picture."""
-    return {
-        _named(g): g.attained_m - g.commanded_m
-        for g in groups
-        if is_pose_setup(g.setup) and len(g.attained_m)
-    }
+    return {_named(g): g.attained_m - g.commanded_m for g in groups if is_pose_setup(g.setup) and len(g.attained_m)}
 
 
 def _first(groups: Groups) -> PoseGroup | None:

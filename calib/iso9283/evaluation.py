@@ -15,15 +15,7 @@ from calib.iso9283 import evaluate_poses as of_poses
 from calib.iso9283.criteria import path, pose
 from calib.iso9283.criteria.pose import Iso9283Error, above_zero
 from calib.iso9283.recorded import CAMERA, ENCODERS, NO_LOG, PoseGroup, RecordedRun
-from calib.iso9283.result import (
-    Criterion,
-    Evaluation,
-    Figure,
-    PathTrace,
-    SettlingTrace,
-    criterion,
-    with_headlines,
-)
+from calib.iso9283.result import Criterion, Evaluation, Figure, PathTrace, SettlingTrace, criterion, with_headlines
 
 
 def evaluate(
@@ -87,9 +79,7 @@ class Bands:
     source: str
 
 
-def settling_criteria(
-    runs: Sequence[RecordedRun], bands: Bands | None
-) -> tuple[Criterion, Criterion, list[SettlingTrace]]:
+def settling_criteria(runs: Sequence[RecordedRun], bands: Bands | None) -> tuple[Criterion, Criterion, list[SettlingTrace]]:
     """4 and 5: stabilization time and overshoot of the approaches to P1, by the camera and by the encoders."""
     approaches = [run for run in runs if run.programme == "approach"]
     if not approaches or bands is None:
@@ -100,9 +90,7 @@ def settling_criteria(
     times, peaks, traces, needs = [], [], [], []
     is_seen = all(len(run.seen_m) > 2 for run in approaches)
     if not is_seen:
-        needs.append(
-            "for the tip itself a position measured by a camera (x_m, y_m, z_m); encoders do not measure it"
-        )
+        needs.append("for the tip itself a position measured by a camera (x_m, y_m, z_m); encoders do not measure it")
     for source in (CAMERA, ENCODERS) if is_seen else (ENCODERS,):
         band_m, remark = _band(approaches, source, bands)
         cycles = []
@@ -201,9 +189,7 @@ def path_criteria(runs: Sequence[RecordedRun]) -> tuple[Criterion, list[PathTrac
         try:
             points, attained = _attained(cycles)
             accuracy = path.path_accuracy(points, attained)
-            remark = (
-                f"{accuracy.skipped} of {len(points)} calculation points skipped" if accuracy.skipped else ""
-            )
+            remark = f"{accuracy.skipped} of {len(points)} calculation points skipped" if accuracy.skipped else ""
             figures.append(Figure("AT_p", accuracy.total_m, "m", name, len(cycles), remark=remark))
             if len(cycles) >= 2:
                 scatter = path.path_repeatability(points, attained)
@@ -261,9 +247,7 @@ def cornering_criterion(runs: Sequence[RecordedRun], corners: Sequence[Array] | 
 
 def velocity_criterion(runs: Sequence[RecordedRun]) -> Criterion:
     """11: AV, RV and FV on the middle half of the straight line."""
-    groups = _path_groups(
-        runs, lambda run: run.programme == "line" or (not run.programme and _is_steady(run))
-    )
+    groups = _path_groups(runs, lambda run: run.programme == "line" or (not run.programme and _is_steady(run)))
     figures: list[Figure] = []
     needs: list[str] = []
     for name, cycles in groups.items():
@@ -344,9 +328,7 @@ def _attained(cycles: Sequence[RecordedRun]) -> tuple[Array, Array]:
     return points, np.stack(attained)
 
 
-def _path_groups(
-    runs: Sequence[RecordedRun], is_wanted: Callable[[RecordedRun], bool]
-) -> dict[str, list[RecordedRun]]:
+def _path_groups(runs: Sequence[RecordedRun], is_wanted: Callable[[RecordedRun], bool]) -> dict[str, list[RecordedRun]]:
     """Repeats of the same path at the same speed, by name.
 
     Sequence[RecordedRun] without a name in the log are compared by their set-points; single runs do not belong to a test.
@@ -387,10 +369,7 @@ def _is_repeat(run: RecordedRun, other: RecordedRun) -> bool:
     if abs(run.time_s[-1] - other.time_s[-1] - run.time_s[0] + other.time_s[0]) > 0.5:
         return False
     at = np.linspace(0.0, 1.0, 50) * (run.moving_s[1] - run.moving_s[0])
-    sampled = [
-        np.column_stack([np.interp(r.moving_s[0] + at, r.time_s, r.set_m[:, k]) for k in range(3)])
-        for r in (run, other)
-    ]
+    sampled = [np.column_stack([np.interp(r.moving_s[0] + at, r.time_s, r.set_m[:, k]) for k in range(3)]) for r in (run, other)]
     return bool(np.abs(sampled[0] - sampled[1]).max() < 1e-4)
 
 

@@ -140,10 +140,7 @@ def _obstacle(arm: Arm, solver: Solver, cube: TestCube, clearance_m: float) -> s
     except (ArmError, Iso9283Error) as error:
         return str(error)
     jacobians = ForwardKinematics(arm).jacobians(q_rad)
-    if (
-        arm.joint_count >= 3
-        and np.linalg.svd(jacobians, compute_uv=False)[:, -1].min() < LEAST_SINGULAR_M_RAD
-    ):
+    if arm.joint_count >= 3 and np.linalg.svd(jacobians, compute_uv=False)[:, -1].min() < LEAST_SINGULAR_M_RAD:
         return "the arm is near-singular inside it"
     return ""
 
@@ -157,16 +154,7 @@ def _obstacle(arm: Arm, solver: Solver, cube: TestCube, clearance_m: float) -> s
 Point = tuple[float, float, float]
 FROM_THE_ENDS = 0.1  # of a diagonal's length: where P2 .. P5 are; the standard: 10 % +- 2 %
 POSES = ("P1", "P2", "P3", "P4", "P5")
-_CORNERS = (
-    (-1, -1, 1),
-    (-1, 1, 1),
-    (1, 1, 1),
-    (1, -1, 1),
-    (-1, -1, -1),
-    (-1, 1, -1),
-    (1, 1, -1),
-    (1, -1, -1),
-)
+_CORNERS = ((-1, -1, 1), (-1, 1, 1), (1, 1, 1), (1, -1, 1), (-1, -1, -1), (-1, 1, -1), (1, 1, -1), (1, -1, -1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,18 +240,14 @@ class Extent:
                 f" got {self.repeats}, {self.path_cycles} and {self.drift_sets}"
             )
         if not self.speed_shares or not all(0.0 < share <= 1.0 for share in self.speed_shares):
-            raise Iso9283Error(
-                f"speeds: expected shares of the rated speed above 0 and up to 1, got {self.speed_shares}"
-            )
+            raise Iso9283Error(f"speeds: expected shares of the rated speed above 0 and up to 1, got {self.speed_shares}")
         if not (math.isfinite(self.drift_s) and self.drift_s >= 0.0 and 0.0 <= self.rated_load_kg < 100.0):
             raise Iso9283Error(
                 f"expected a drift time and a rated load of 0 or more, got {self.drift_s:g} s and {self.rated_load_kg:g} kg"
             )
         unknown = [name for name in self.programmes if name not in PROGRAMMES]
         if unknown or not self.programmes:
-            raise Iso9283Error(
-                f"programmes: expected some of {', '.join(PROGRAMMES)}; got {', '.join(unknown) or 'none'}"
-            )
+            raise Iso9283Error(f"programmes: expected some of {', '.join(PROGRAMMES)}; got {', '.join(unknown) or 'none'}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,14 +343,7 @@ def posing_programme(cube: TestCube) -> Iterator[Step]:
     for share in POSING_SHARES:
         for repeat in range(1, SETTLING_CYCLES + 1):
             target = point_of(start + share * (end - start))
-            yield Visit(
-                "posing",
-                f"{1e3 * share * np.linalg.norm(end - start):.0f} mm",
-                repeat,
-                target,
-                poses["P2"],
-                "posing",
-            )
+            yield Visit("posing", f"{1e3 * share * np.linalg.norm(end - start):.0f} mm", repeat, target, poses["P2"], "posing")
 
 
 def load_programme(cube: TestCube, rated_load_kg: float) -> Iterator[Step]:
@@ -379,9 +356,7 @@ def load_programme(cube: TestCube, rated_load_kg: float) -> Iterator[Step]:
             yield Visit("load", f"P1 load {k}", repeat, tip, payload_kg=rated_load_kg * k / LOADS)
 
 
-def path_programme(
-    cube: TestCube, cycles: int, shares: Sequence[float], rated_speed_m_s: float
-) -> Iterator[PathRun]:
+def path_programme(cube: TestCube, cycles: int, shares: Sequence[float], rated_speed_m_s: float) -> Iterator[PathRun]:
     """Straight line and circle on the diagonal plane at shares of the rated speed."""
     line = tuple(cube.on_plane(0.0, LINE_SHARE * d) for d in (-1.0, -0.5, 0.5, 1.0))
     circle = circle_points(cube, 24)
@@ -425,9 +400,7 @@ def weaving_programme(cube: TestCube, cycles: int, rated_speed_m_s: float) -> It
     """A sine about the straight line of the path programme."""
     count = WAVES * WAVE_POINTS
     points = [
-        cube.on_plane(
-            WEAVE_STROKE * math.sin(2.0 * math.pi * k / WAVE_POINTS), LINE_SHARE * (2.0 * k / count - 1.0)
-        )
+        cube.on_plane(WEAVE_STROKE * math.sin(2.0 * math.pi * k / WAVE_POINTS), LINE_SHARE * (2.0 * k / count - 1.0))
         for k in range(count + 1)
     ]
     speed = WEAVE_SPEED_SHARE * rated_speed_m_s

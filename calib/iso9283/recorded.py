@@ -19,21 +19,10 @@ from calib.results import array_in, read_json
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
-from control.tables import (
-    SAMPLES_MOST,
-    ColumnGroup,
-    TableColumn,
-    TableContent,
-    TableFormat,
-    read_table,
-)
+from control.tables import SAMPLES_MOST, ColumnGroup, TableColumn, TableContent, TableFormat, read_table
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
-ANGLES, ANGLES_SET, FORCE = (
-    ("a_rad", "b_rad", "c_rad"),
-    ("a_set_rad", "b_set_rad", "c_set_rad"),
-    ("fx_N", "fy_N", "fz_N"),
-)
+ANGLES, ANGLES_SET, FORCE = (("a_rad", "b_rad", "c_rad"), ("a_set_rad", "b_set_rad", "c_set_rad"), ("fx_N", "fy_N", "fz_N"))
 
 TARGET_NOTE = "orientation: measured quaternions, with the target where it fits all commanded poses best"
 CAMERA, ENCODERS = "camera", "encoders"
@@ -130,9 +119,7 @@ def pose_groups(points: Points, arm: Arm, path: Path) -> tuple[list[PoseGroup], 
     warnings = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
     weight_N = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
     force = given.numbers(*FORCE) if FORCE[0] in given else weight_N
-    angle_set, angle = (
-        given.numbers(*names) if names[0] in given else None for names in (ANGLES_SET, ANGLES)
-    )
+    angle_set, angle = (given.numbers(*names) if names[0] in given else None for names in (ANGLES_SET, ANGLES))
     if angle is None and points.joint_count == arm.joint_count:
         angle_set, angle = _turned(points, given, arm)
     turns = (TARGET_NOTE,) if angle is not None and ANGLES[0] not in given else ()
@@ -229,8 +216,7 @@ def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[RecordedR
     # with gear or encoder effects in the model, the tip follows joint angles, not encoder angles
     encoders = not ("joint1_rad" in table and "joint1_set_rad" in table)
     q_rad, wanted_rad = (
-        table.joints(form)
-        for form in (("q{}_rad", "q{}_set_rad") if encoders else ("joint{}_rad", "joint{}_set_rad"))
+        table.joints(form) for form in (("q{}_rad", "q{}_set_rad") if encoders else ("joint{}_rad", "joint{}_set_rad"))
     )
     number, time_s, tip_m = np.nan_to_num(table.number("run")), table.number("t_s"), table.numbers(*TIP)
     has_wanted = np.asarray(np.isfinite(wanted_rad).all(axis=1))

@@ -121,10 +121,7 @@ def with_headlines(figures: Sequence[Figure], symbols: Sequence[str] | None = No
     for figure in figures:
         if figure.symbol not in worst or abs(figure.value) > abs(worst[figure.symbol].value):
             worst[figure.symbol] = figure
-    return [
-        replace(f, is_headline=worst[f.symbol] is f and (symbols is None or f.symbol in symbols))
-        for f in figures
-    ]
+    return [replace(f, is_headline=worst[f.symbol] is f and (symbols is None or f.symbol in symbols)) for f in figures]
 
 
 def write_document(path: Path, evaluation: Evaluation, arm: str, made: Provenance) -> None:
@@ -134,8 +131,7 @@ def write_document(path: Path, evaluation: Evaluation, arm: str, made: Provenanc
         | {
             "values": {f.symbol: entries(f, "value", "unit", "where") for f in one.headlines},
             "figures": [
-                entries(f, "symbol", "value", "unit", "where", "count", *(("remark",) if f.remark else ()))
-                for f in one.figures
+                entries(f, "symbol", "value", "unit", "where", "count", *(("remark",) if f.remark else ())) for f in one.figures
             ],
         }
         for one in evaluation.criteria
@@ -184,13 +180,7 @@ def _summary(criteria: Sequence[Criterion]) -> str:
 
 def _figures(criteria: Sequence[Criterion]) -> str:
     rows: list[Sequence[Cell]] = [
-        (
-            f"{c.number}  {f.symbol}",
-            shown(f.value, f.unit),
-            ("text", f.where),
-            str(f.count),
-            ("text", f.remark),
-        )
+        (f"{c.number}  {f.symbol}", shown(f.value, f.unit), ("text", f.where), str(f.count), ("text", f.remark))
         for c in criteria
         for f in c.figures
     ]
@@ -213,14 +203,7 @@ def summary_text(criteria: Sequence[Criterion]) -> str:
     return "\n".join(lines)
 
 
-STYLES = (
-    ("#0072B2", "-"),
-    ("#D55E00", "--"),
-    ("#009E73", "-."),
-    ("#CC79A7", ":"),
-    ("#000000", "-"),
-    ("#E69F00", "--"),
-)
+STYLES = (("#0072B2", "-"), ("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#000000", "-"), ("#E69F00", "--"))
 MOST_CLOUDS = 5
 
 
@@ -292,9 +275,7 @@ def _draw_paths(figure: Drawing, paths: Sequence[PathTrace]) -> None:
 def _draw_in_plane(axes: Axes, trace: PathTrace) -> None:
     centre = trace.commanded_m.mean(axis=0)
     plane = np.linalg.svd(trace.commanded_m - centre, full_matrices=False)[2][:2]
-    if (
-        np.ptp((trace.commanded_m - centre) @ plane[1]) < 1e-6
-    ):  # a line: drawn in the plane of its largest deviation
+    if np.ptp((trace.commanded_m - centre) @ plane[1]) < 1e-6:  # a line: drawn in the plane of its largest deviation
         off = trace.attained_m.mean(axis=(0, 1)) - centre
         off = off - (off @ plane[0]) * plane[0]
         plane = np.vstack((plane[0], off / max(float(np.linalg.norm(off)), 1e-12)))
@@ -315,9 +296,7 @@ def _draw_settling(axes: Axes, traces: Sequence[SettlingTrace]) -> None:
     for k, trace in enumerate(traces):
         colour, style = STYLES[k]
         axes.plot(trace.time_s, 1e3 * trace.distance_m, style, color=colour, lw=1.2, label=trace.name)
-        axes.axhline(
-            1e3 * trace.band_m, color=colour, ls=":", lw=1.2, label=f"limit band {1e3 * trace.band_m:.3f} mm"
-        )
+        axes.axhline(1e3 * trace.band_m, color=colour, ls=":", lw=1.2, label=f"limit band {1e3 * trace.band_m:.3f} mm")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylim(bottom=1e-3)

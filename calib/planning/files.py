@@ -167,10 +167,7 @@ def _detail(name: str, chosen: WayOfPath | WayOfStops) -> str:
 def _left(cost: Cost) -> str:
     """The largest part of what is left, and what would help against it."""
     causes = (
-        (
-            cost.known_m,
-            "known from the points, and not in the arm's file: `armwright calibrate`, then `armwright gap`",
-        ),
+        (cost.known_m, "known from the points, and not in the arm's file: `armwright calibrate`, then `armwright gap`"),
         (cost.unknown_m, "what the points do not tell: `armwright plan-poses` proposes more"),
         (cost.scatter_m, "scatter from visit to visit: play whose flank is unclear, noise"),
     )

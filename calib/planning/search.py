@@ -69,9 +69,7 @@ class Judge:
         scatter = np.trace(error.random_m2, axis1=1, axis2=2)
         unknown = np.trace(error.systematic_m2, axis1=1, axis2=2)
         known = np.sum(error.expected_m**2, axis=1)
-        rms, *parts = (
-            float(np.sqrt(part.mean())) for part in (known + unknown + scatter, known, unknown, scatter)
-        )
+        rms, *parts = (float(np.sqrt(part.mean())) for part in (known + unknown + scatter, known, unknown, scatter))
         drawn_m = np.sqrt((np.sum(drawn**2, axis=1) + scatter[:, None]).mean(axis=0))
         return Cost(rms, parts[0], parts[1], parts[2], drawn_m)
 
@@ -91,9 +89,7 @@ def shifted(arm: Arm, waypoints: Waypoints, shift_m: Vector3) -> tuple[Arm, Wayp
     points = tuple(_moved(point, shift_m) for point in waypoints.points)
     table = arm.table
     if table is not None and table.origin_m is not None and table.known_pose:
-        arm = dataclasses.replace(
-            arm, table=dataclasses.replace(table, origin_m=_moved(table.origin_m, shift_m))
-        )
+        arm = dataclasses.replace(arm, table=dataclasses.replace(table, origin_m=_moved(table.origin_m, shift_m)))
     return arm, dataclasses.replace(waypoints, points=points)
 
 
@@ -222,9 +218,7 @@ class WaySearch(ABC, Generic[Way]):
 
     _plain: Way
 
-    def __init__(
-        self, arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance
-    ) -> None:
+    def __init__(self, arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance) -> None:
         self._arm, self._judge, self._given, self._freedom = arm, Judge(predictor), waypoints, freedom
         self._advance, self._done, self._room = advance, 0, Room(arm)
 
@@ -252,12 +246,7 @@ class WaySearch(ABC, Generic[Way]):
 # better for nearly every arm that the points allow, so that a guess never makes the path worse.
 
 
-PACES: Final = (
-    0.7,
-    0.5,
-    0.35,
-    0.25,
-)  # of the speed given: gears that inertia lifts off their flank stay on it
+PACES: Final = (0.7, 0.5, 0.35, 0.25)  # of the speed given: gears that inertia lifts off their flank stay on it
 SAMPLES: Final = 100
 
 
@@ -286,9 +275,7 @@ class PathPlan(TaskPlan[WayOfPath]):
     __slots__ = ()
 
 
-def planned_path(
-    arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent
-) -> PathPlan:
+def planned_path(arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent) -> PathPlan:
     """The best way within what may be changed. PathError if the path as given cannot be run."""
     return _PathSearch(arm, predictor, waypoints, freedom, advance).run()
 
@@ -423,9 +410,7 @@ class StopsPlan(TaskPlan[WayOfStops]):
     __slots__ = ()
 
 
-def planned_stops(
-    arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent
-) -> StopsPlan:
+def planned_stops(arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent) -> StopsPlan:
     """The best way within what may be changed. ArmError if a point as given is out of reach."""
     if waypoints.orientations is not None:
         raise CalibrationError("--stops: takes positions, got orientations: leave out the columns qw to qz")
@@ -469,10 +454,7 @@ class _StopsSearch(WaySearch[WayOfStops]):
         if len(np.unique(which)) < len(waypoints.points):
             return None
         sides, squares = self._sides(arm, q)
-        rows = [
-            int(min(np.flatnonzero(which == point), key=lambda row: squares[row]))
-            for point in range(len(waypoints.points))
-        ]
+        rows = [int(min(np.flatnonzero(which == point), key=lambda row: squares[row])) for point in range(len(waypoints.points))]
         if not np.isfinite(squares[rows]).all():
             return None
         return self._way(arm, waypoints, shift_m, q[rows], sides[rows], np.ones(len(rows), dtype=bool))
@@ -499,9 +481,7 @@ class _StopsSearch(WaySearch[WayOfStops]):
     def _conditions(self, q: Array, sides: Array) -> Conditions:
         return Conditions(q, sides, np.full(len(q), self._freedom.payload_kg))
 
-    def _way(
-        self, arm: Arm, waypoints: Waypoints, shift_m: Vector3, q: Array, sides: Array, led: Mask
-    ) -> WayOfStops:
+    def _way(self, arm: Arm, waypoints: Waypoints, shift_m: Vector3, q: Array, sides: Array, led: Mask) -> WayOfStops:
         poses = self._conditions(q, sides)
         return WayOfStops(arm, waypoints, shift_m, tuple(range(len(q))), poses, led, self._judge.cost(poses))
 

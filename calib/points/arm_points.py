@@ -15,9 +15,7 @@ from control.model.arm import Arm
 RECORDS = ("session.json", "plan.json", "programme.json")  # files that our recordings write beside points.csv
 
 
-def base_points_for(
-    arm: Arm, files: Sequence[Path], what: str, is_as_given: bool = False
-) -> tuple[Points, tuple[str, ...]]:
+def base_points_for(arm: Arm, files: Sequence[Path], what: str, is_as_given: bool = False) -> tuple[Points, tuple[str, ...]]:
     """As `points_for`, but UnusablePointsError for points in a camera's frame, which `what` cannot use."""
     points, warnings = points_for(arm, files, is_as_given)
     if points.in_camera_frame:

@@ -148,9 +148,7 @@ def joined(parts: Sequence[Points]) -> Points:
     if not others:
         return first
     shared = [name for name in first.extra if all(name in part.extra for part in others)]
-    whole: dict[str, Any] = {
-        name: tuple(word for part in parts for word in getattr(part, name)) for name in REQUIRED
-    }
+    whole: dict[str, Any] = {name: tuple(word for part in parts for word in getattr(part, name)) for name in REQUIRED}
     for name in ARRAYS:
         own = np.concatenate([getattr(part, name) for part in parts])
         whole[name] = _known(own, own.shape)

@@ -9,25 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import PointsFileError
-from calib.points.points import (
-    COVARIANCE,
-    ORIENTATION,
-    POSITION,
-    TIP,
-    TURN,
-    Points,
-    is_covariance,
-    make_points,
-)
-from control.tables import (
-    WHOLE_LARGEST,
-    ColumnGroup,
-    TableColumn,
-    TableContent,
-    TableFormat,
-    Wrong,
-    read_table,
-)
+from calib.points.points import COVARIANCE, ORIENTATION, POSITION, TIP, TURN, Points, is_covariance, make_points
+from control.tables import WHOLE_LARGEST, ColumnGroup, TableColumn, TableContent, TableFormat, Wrong, read_table
 
 IMPORT = ": `armwright import-points` reads it and makes a points.csv"
 ORIENTATION_MEANING = (
@@ -44,20 +27,10 @@ POINTS = TableFormat(
     "point",
     (
         TableColumn(
-            "setup",
-            "`normal`, `roll`, `pitch`, `free` or any name: one placement of the board",
-            is_required=True,
-            is_name=True,
+            "setup", "`normal`, `roll`, `pitch`, `free` or any name: one placement of the board", is_required=True, is_name=True
         ),
         TableColumn("point", "name of the cavity or pose", is_required=True, is_name=True),
-        TableColumn(
-            "repeat",
-            "whole number",
-            is_required=True,
-            is_whole=True,
-            lower=-WHOLE_LARGEST,
-            upper=WHOLE_LARGEST,
-        ),
+        TableColumn("repeat", "whole number", is_required=True, is_whole=True, lower=-WHOLE_LARGEST, upper=WHOLE_LARGEST),
         TableColumn("q{}_rad", "encoder angles, through nominal ratio and zero", is_required=True),
         TableColumn("t_s", "time of the record"),
         TableColumn("payload_kg", "mass at the tip"),
@@ -70,23 +43,16 @@ POINTS = TableFormat(
             expected="-1, 0 or 1",
         ),
         TableColumn("i{}_A", "motor current while holding"),
-        *(
-            TableColumn(name, "measured tip in the base frame; empty: the cavity is the reference")
-            for name in TIP
-        ),
+        *(TableColumn(name, "measured tip in the base frame; empty: the cavity is the reference") for name in TIP),
         *(TableColumn(name, ORIENTATION_MEANING) for name in ORIENTATION),
         *(
             TableColumn(
-                name,
-                "covariance of the tip. `calibrate` weights points by it; a point without one gets the arm's camera noise",
+                name, "covariance of the tip. `calibrate` weights points by it; a point without one gets the arm's camera noise"
             )
             for name in POSITION
         ),
         *(
-            TableColumn(
-                name,
-                "covariance of the orientation: of e in R_measured = exp([e]) R_true, axes of the same frame",
-            )
+            TableColumn(name, "covariance of the orientation: of e in R_measured = exp([e]) R_true, axes of the same frame")
             for name in TURN
         ),
         TableColumn(
@@ -106,9 +72,7 @@ POINTS = TableFormat(
 )
 
 
-def read_points(
-    path: Path, joint_count: int | None = None, also: TableFormat | None = None
-) -> tuple[Points, tuple[str, ...]]:
+def read_points(path: Path, joint_count: int | None = None, also: TableFormat | None = None) -> tuple[Points, tuple[str, ...]]:
     """Read the points of a file; also returns warnings. PointsFileError names file, line and column.
 
     also: columns beyond the format that the caller reads by `beyond`; they are not warned about.
@@ -135,9 +99,7 @@ def read_points(
     return replace(points, lines=np.array(table.lines, dtype=np.intp)), table.warnings
 
 
-def beyond(
-    points: Points, path: Path, form: TableFormat, wrong: Wrong, joint_count: int | None = None
-) -> TableContent:
+def beyond(points: Points, path: Path, form: TableFormat, wrong: Wrong, joint_count: int | None = None) -> TableContent:
     """The columns of `form` among those that the points keep as text, checked as those of the format are."""
     required = [column.name for column in form.columns if column.is_required]
     if required and not points.extra:

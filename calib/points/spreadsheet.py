@@ -49,9 +49,7 @@ class Unclear(PointsFileError):
     """The table does not tell this: the option that answers it, and what it may be."""
 
     def __init__(self, what: str, option: str, key: str, choices: Sequence[str]) -> None:
-        super().__init__(
-            f"{what}: answer with {option} {key}{', one of ' + ', '.join(choices) if choices else ''}"
-        )
+        super().__init__(f"{what}: answer with {option} {key}{', one of ' + ', '.join(choices) if choices else ''}")
         self.question, self.option, self.key, self.choices = what, option, key, choices
 
 
@@ -67,27 +65,21 @@ class Spreadsheet:
 
     def numbers(self, name: str) -> list[float]:
         """A column as numbers; PointsFileError names line and column."""
-        return [
-            self._number(row[self.names.index(name)], line, name) for line, row in enumerate(self.rows, 2)
-        ]
+        return [self._number(row[self.names.index(name)], line, name) for line, row in enumerate(self.rows, 2)]
 
     def _number(self, cell: str, line: int, name: str) -> float:
         text = cell.translate({ord(","): ".", ord("."): ","}) if self.has_decimal_commas else cell
         number = float(text) if NUMBER.fullmatch(text) else math.inf
         if math.isinf(number):
             mark = " with a decimal comma, as others have" if self.has_decimal_commas else ""
-            raise PointsFileError(
-                f'{self.path}, line {line}, column {name}: got "{cell}", expected a number{mark}'
-            )
+            raise PointsFileError(f'{self.path}, line {line}, column {name}: got "{cell}", expected a number{mark}')
         return number
 
     def words(self, name: str) -> list[str]:
         """A column of names, none of them empty; PointsFileError names line and column."""
         cells = [row[self.names.index(name)] for row in self.rows]
         if "" in cells:
-            raise PointsFileError(
-                f"{self.path}, line {cells.index('') + 2}, column {name}: got an empty cell, expected a name"
-            )
+            raise PointsFileError(f"{self.path}, line {cells.index('') + 2}, column {name}: got an empty cell, expected a name")
         return cells
 
 
@@ -118,24 +110,18 @@ def read_sheet(path: Path) -> Spreadsheet:
     for line, row in enumerate(rows, 1):
         if len(row) != len(rows[0]):
             raise PointsFileError(f"{path}, line {line}: {len(row)} values, line 1 names {len(rows[0])}")
-    commas = separator != "," and any(
-        re.fullmatch(r"[-+]?\d*,\d+(e[-+]?\d+)?", cell) for row in rows[1:] for cell in row
-    )
+    commas = separator != "," and any(re.fullmatch(r"[-+]?\d*,\d+(e[-+]?\d+)?", cell) for row in rows[1:] for cell in row)
     mark = "decimal commas" if commas else "decimal points"
     about = f"{path}: {encoding}, separated by {SEPARATORS[separator]}, {mark}, {len(rows) - 1} rows"
     return Spreadsheet(path, rows[0], tuple(rows[1:]), about, commas)
 
 
-def understood(
-    sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None
-) -> Understood:
+def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None) -> Understood:
     """The points of a table. Unclear where it does not tell. `columns`: its names by ours; units None: as its header says."""
     joints = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
     wanted = {name: JOINT.format(j) for j, name in enumerate(joints, 1)} | COLUMNS
     if strange := [ours for ours in columns if ours not in wanted]:
-        raise PointsFileError(
-            f"--columns {strange[0]}: expected one of {', '.join(wanted)}, and = a name of theirs"
-        )
+        raise PointsFileError(f"--columns {strange[0]}: expected one of {', '.join(wanted)}, and = a name of theirs")
     found = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
     of_angle, of_length = [found[name] or "" for name in joints], [found[name] or "" for name in TIP]
     notes: list[str] = []
@@ -170,13 +156,9 @@ def understood(
 def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, str]) -> str | None:
     if (name := columns.get(ours)) is not None:
         if name not in sheet.names:
-            raise PointsFileError(
-                f'{sheet.path}: no column "{name}" for {ours}; it has {", ".join(sheet.names)}'
-            )
+            raise PointsFileError(f'{sheet.path}: no column "{name}" for {ours}; it has {", ".join(sheet.names)}')
         return name
-    found = [
-        name for name in sheet.names if re.search(pattern, name.lower()) and name not in columns.values()
-    ]
+    found = [name for name in sheet.names if re.search(pattern, name.lower()) and name not in columns.values()]
     if len(found) == 1:
         return found[0]
     if not found and ours in OPTIONAL:
@@ -185,18 +167,10 @@ def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, s
 
 
 def _unit(
-    sheet: Spreadsheet,
-    names: Sequence[str],
-    given: str | None,
-    option: str,
-    units: Mapping[str, float],
-    notes: list[str],
+    sheet: Spreadsheet, names: Sequence[str], given: str | None, option: str, units: Mapping[str, float], notes: list[str]
 ) -> str:
     """The unit of columns: as given, else what their header says. A header that says another one than was given is noted."""
-    said = {
-        next((unit for unit, form in UNITS if re.search(ALONE.format(form), name.lower())), None)
-        for name in names
-    }
+    said = {next((unit for unit, form in UNITS if re.search(ALONE.format(form), name.lower())), None) for name in names}
     (unit,) = said if len(said) == 1 else (None,)
     if given is not None:
         if unit in units and unit != given:

@@ -58,11 +58,7 @@ class Record:
 def write_points(path: Path, points: Points) -> None:
     """Write all points, replacing the file atomically; empty columns are omitted."""
     n, q = points.joint_count, range(points.joint_count)
-    columns: dict[str, Sequence[str]] = {
-        "setup": points.setup,
-        "point": points.point,
-        "repeat": [str(r) for r in points.repeat],
-    }
+    columns: dict[str, Sequence[str]] = {"setup": points.setup, "point": points.point, "repeat": [str(r) for r in points.repeat]}
     if np.isfinite(points.t_s).any():
         columns["t_s"] = [cell(v, 3) for v in points.t_s]
     if np.isfinite(points.payload_kg).any():
@@ -103,16 +99,11 @@ class PointsWriter(Closing):
         columns = [*_header(joint_count), *(POSE_COLUMNS if pose_frame else ()), *more]
         self._header, self._take = _line(columns), columns.index("take")
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._last_s, self._ahead_s = (
-            -math.inf,
-            0.0,
-        )  # of the file's times: their end, and how far ahead of the arm's clock
+        self._last_s, self._ahead_s = (-math.inf, 0.0)  # of the file's times: their end, and how far ahead of the arm's clock
         self._file = KeptLines(path, SessionError, self._header)
         self._paused_s = max(0.0, time.time() - path.stat().st_mtime)
         torn = self._file.torn.decode(errors="replace")
-        self.warnings = (
-            (f'{path}: the last line is incomplete and is dropped: "{torn[:60]}"',) if torn else ()
-        )
+        self.warnings = (f'{path}: the last line is incomplete and is dropped: "{torn[:60]}"',) if torn else ()
         try:
             self._lines: dict[Key, str] = self._read()
         except BaseException:
@@ -163,9 +154,7 @@ class PointsWriter(Closing):
             self._last_s = float(np.nanmax(points.t_s))
         keys = list(zip(points.setup, points.point, points.repeat, strict=True))
         if len(keys) != len(lines) or len(set(keys)) < len(keys):
-            raise SessionError(
-                f"{self._file.path}: a point appears twice, or a line is empty: undo manual edits"
-            )
+            raise SessionError(f"{self._file.path}: a point appears twice, or a line is empty: undo manual edits")
         return dict(zip(keys, lines, strict=True))
 
     def _row(self, record: Record) -> list[str]:

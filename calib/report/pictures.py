@@ -59,9 +59,7 @@ def _draw_vectors(figure: Figure, comparison: Comparison) -> None:
     _name_setups(figure, axes[0][0], comparison)
 
 
-def _draw_arrows(
-    axes: Axes, comparison: Comparison, errors: Array, plane: tuple[int, int], colour: str
-) -> None:
+def _draw_arrows(axes: Axes, comparison: Comparison, errors: Array, plane: tuple[int, int], colour: str) -> None:
     """Points, arrows, a scale, and limits that hold them."""
     i, j = plane
     tips, shown = 1e3 * comparison.tip_m, 1e3 * errors
@@ -131,13 +129,7 @@ def _draw_histogram(axes: Axes, comparison: Comparison) -> None:
     bins = np.geomspace(0.9 * low, 1.1 * high, 28)
     for errors, colour, label, hatch in ((before, BEFORE, "before", "////"), (after, AFTER, "after", None)):
         axes.hist(
-            np.maximum(errors, low),
-            bins=bins.tolist(),
-            color=colour,
-            alpha=0.75,
-            label=label,
-            hatch=hatch,
-            edgecolor="white",
+            np.maximum(errors, low), bins=bins.tolist(), color=colour, alpha=0.75, label=label, hatch=hatch, edgecolor="white"
         )
         axes.axvline(float(errors.mean()), color=colour, lw=1.5, ls="--" if label == "before" else "-")
     axes.set_xscale("log")
@@ -163,9 +155,7 @@ def _draw_setups(axes: Axes, comparison: Comparison) -> None:
     axes.legend(fontsize=8)
 
 
-def _draw_summaries(
-    axes: Axes, places: Array, errors_m: Array, summaries: list[ErrorSummary], colour: str, when: str
-) -> None:
+def _draw_summaries(axes: Axes, places: Array, errors_m: Array, summaries: list[ErrorSummary], colour: str, when: str) -> None:
     """Every point, and the means with their intervals over them."""
     shift = -0.17 if when == "before" else 0.17
     axes.plot(places, 1e3 * norms(errors_m), ".", color=colour, alpha=0.3, ms=4)
@@ -210,15 +200,7 @@ def thinned(track: Track) -> Track:
 
 def _draw(figure: Figure, pair: TrackPair) -> None:
     grid = figure.add_gridspec(
-        2,
-        3,
-        height_ratios=[1.35, 1],
-        left=0.065,
-        right=0.985,
-        top=0.9,
-        bottom=0.085,
-        wspace=0.27,
-        hspace=0.36,
+        2, 3, height_ratios=[1.35, 1], left=0.065, right=0.985, top=0.9, bottom=0.085, wspace=0.27, hspace=0.36
     )
     planes = [figure.add_subplot(grid[0, k]) for k in range(3)]
     for axes, (i, j) in zip(planes, PLANES, strict=True):
@@ -229,9 +211,7 @@ def _draw(figure: Figure, pair: TrackPair) -> None:
 
 
 def _draw_plane(axes: Axes, pair: TrackPair, i: int, j: int) -> None:
-    ideal, before, after = (
-        1e3 * path for path in (pair.after.planned_m, pair.before.measured_m, pair.after.measured_m)
-    )
+    ideal, before, after = (1e3 * path for path in (pair.after.planned_m, pair.before.measured_m, pair.after.measured_m))
     axes.plot(before[:, i], before[:, j], "-.", color=BEFORE, lw=1.3, label="actual, before")
     axes.plot(after[:, i], after[:, j], "-", color=AFTER, lw=1.6, label="actual, after")
     axes.plot(ideal[:, i], ideal[:, j], "--", color=PLANNED, lw=1.2, label="ideal", zorder=3)
@@ -260,10 +240,7 @@ def _at_least(low: float, high: float) -> tuple[float, float]:
 
 def _draw_errors(axes: Axes, pair: TrackPair) -> None:
     parts = []
-    for track, colour, style, when in (
-        (pair.before, BEFORE, "-.", "before"),
-        (pair.after, AFTER, "-", "after"),
-    ):
+    for track, colour, style, when in ((pair.before, BEFORE, "-.", "before"), (pair.after, AFTER, "-", "after")):
         error = 1e3 * norms(track.measured_m - track.planned_m)
         axes.plot(track.time_s, np.maximum(error, 1e-3), style, color=colour, lw=1.3, label=when)
         parts.append(f"{when} {np.mean(error):.2f} mm on average, {np.max(error):.2f} mm at most")

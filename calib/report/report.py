@@ -17,20 +17,7 @@ from calib.arm_problem.frames import rotation_vector
 from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.arrays import Array, norms
 from calib.identify.identification import Estimate, Identification
-from calib.report.page import (
-    Cell,
-    Section,
-    bullets,
-    escaped,
-    folded,
-    heading,
-    page,
-    pair,
-    paragraph,
-    table,
-    tiles,
-    verdict,
-)
+from calib.report.page import Cell, Section, bullets, escaped, folded, heading, page, pair, paragraph, table, tiles, verdict
 from calib.report.pictures import histogram_picture, path_picture, setup_picture, vector_picture
 from calib.results import InputFile, Provenance, entries, write_json
 from calib.validation.holdout import HeldOut
@@ -57,10 +44,7 @@ UNITS = {"m": ("mm", 1e3, ".3f"), "rad": ("deg", math.degrees(1.0), ".4f"), "1":
 
 def done_section(steps: Iterable[str], notes: Sequence[str] = ()) -> Section:
     """The steps in order, and notes."""
-    return Section(
-        "What was done",
-        bullets(steps, "ol") + (heading("To note") + bullets(notes) if notes else ""),
-    )
+    return Section("What was done", bullets(steps, "ol") + (heading("To note") + bullets(notes) if notes else ""))
 
 
 def inputs_section(inputs: Sequence[InputFile]) -> Section:
@@ -109,8 +93,7 @@ def frames_section(found: Identification) -> Section:
     header = ("frame", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
     return Section(
         "Poses of boards and base",
-        paragraph("Identified with the parameters; origin and rotation vector in the arm's base frame.")
-        + table(header, rows),
+        paragraph("Identified with the parameters; origin and rotation vector in the arm's base frame.") + table(header, rows),
     )
 
 
@@ -166,9 +149,7 @@ def dh_section(nominal: Arm, calibrated: Arm) -> Section:
 
 
 def _row_of(values: Sequence[float], units: Sequence[str], sign: str = "") -> list[str]:
-    return [
-        f"{UNITS[unit][1] * value:{sign}z{UNITS[unit][2]}}" for value, unit in zip(values, units, strict=True)
-    ]
+    return [f"{UNITS[unit][1] * value:{sign}z{UNITS[unit][2]}}" for value, unit in zip(values, units, strict=True)]
 
 
 def _tool(nominal: Arm, calibrated: Arm) -> str:
@@ -199,9 +180,7 @@ def calibration_section(comparison: Comparison) -> Section:
     """Errors at the points of the fit."""
     return Section(
         "At the calibration points",
-        paragraph(
-            "The fit used these points, so their errors are biased low; judge by points not used.", "soft"
-        )
+        paragraph("The fit used these points, so their errors are biased low; judge by points not used.", "soft")
         + comparison_table(comparison)
         + vector_picture(comparison)
         + pair(histogram_picture(comparison), setup_picture(comparison)),
@@ -232,22 +211,14 @@ def comparison_table(comparison: Comparison, counted: str = "points") -> str:
     rows: list[Sequence[Cell]] = []
     for entry in comparison.by_setup():
         rows.append((entry.setup, str(entry.before.count), ("before", "before"), *_figures(entry.before), ""))
-        rows.append(
-            ("", "", ("after", "after"), *_figures(entry.after), f"{entry.improvement_percent:.1f} %")
-        )
+        rows.append(("", "", ("after", "after"), *_figures(entry.after), f"{entry.improvement_percent:.1f} %"))
     return table(("setup", counted, "", *SUMMARY, "improved"), rows)
 
 
 def _figures(summary: ErrorSummary) -> tuple[str, ...]:
     interval = "" if math.isnan(summary.mean_half_width_m) else f"± {1e3 * summary.mean_half_width_m:.3f}"
     spread = "" if math.isnan(summary.sd_m) else f"{1e3 * summary.sd_m:.3f}"
-    return (
-        f"{1e3 * summary.mean_m:.3f}",
-        interval,
-        f"{1e3 * summary.rms_m:.3f}",
-        f"{1e3 * summary.max_m:.3f}",
-        spread,
-    )
+    return (f"{1e3 * summary.mean_m:.3f}", interval, f"{1e3 * summary.rms_m:.3f}", f"{1e3 * summary.max_m:.3f}", spread)
 
 
 def _every_point(comparison: Comparison) -> str:
@@ -268,16 +239,7 @@ def _every_point(comparison: Comparison) -> str:
                 f"{improvement_percent(before[k], after[k]):.1f} %",
             )
         )
-    header = (
-        "setup",
-        ("text", "point"),
-        "x [mm]",
-        "y [mm]",
-        "z [mm]",
-        "before [mm]",
-        "after [mm]",
-        "improved",
-    )
+    header = ("setup", ("text", "point"), "x [mm]", "y [mm]", "z [mm]", "before [mm]", "after [mm]", "improved")
     has_repeats = bool(np.isfinite(comparison.after_half_width_m).any())
     title = f"all {len(rows)} points{' (± is 95 % from the repeats at the point)' if has_repeats else ''}"
     return folded(title, table(header, rows), is_open=len(rows) <= SHOWN)
@@ -475,14 +437,9 @@ def write_verification_json(path: Path, verification: Verification) -> None:
         "by_setup": comparison_figures(compared),
         "points": _points(compared),
         "orientation": None if verification.turns is None else verification.turns.as_dict(),
-        "trajectories": None
-        if along is None
-        else {"by_setup": comparison_figures(along), "parts": _points(along)},
+        "trajectories": None if along is None else {"by_setup": comparison_figures(along), "parts": _points(along)},
         "dh": {"before": verification.nominal.dh, "after": verification.calibrated.dh},
-        "tool_m": {
-            "before": verification.nominal.tool.position_m,
-            "after": verification.calibrated.tool.position_m,
-        },
+        "tool_m": {"before": verification.nominal.tool.position_m, "after": verification.calibrated.tool.position_m},
     }
     write_json(path, heading | content)
 

@@ -11,15 +11,7 @@ import numpy as np
 
 from calib.arm_problem.assembly import base_frame_of
 from calib.arrays import norms
-from calib.boards import (
-    FEWEST_TO_NAME,
-    BoardPose,
-    Markers,
-    Registration,
-    markers_text,
-    register_boards,
-    write_boards,
-)
+from calib.boards import FEWEST_TO_NAME, BoardPose, Markers, Registration, markers_text, register_boards, write_boards
 from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import RegistrationError, SessionError
 from calib.points.points import STREAM_FRAME, Points
@@ -117,9 +109,7 @@ class Boards:
         """Of the remaining targets in a setup, the cavity farthest from those measured."""
         here = [target for target in left if target.setup == setup]
         seen = {*self._seen(points, setup).marker} if points is not None else set()
-        places = np.array(
-            [self.cavities_m[name] for name in seen] or [np.mean([*self.cavities_m.values()], axis=0)]
-        )
+        places = np.array([self.cavities_m[name] for name in seen] or [np.mean([*self.cavities_m.values()], axis=0)])
 
         def distance_m(target: Target) -> float:
             return float(np.min(np.linalg.norm(places - self.cavities_m[target.point], axis=1)))
@@ -154,9 +144,7 @@ def markers_of(points: Points) -> Markers:
 def _require_tilt(setup: str) -> None:
     tilts = (*tables.SETUPS, *OTHER_TILTS)
     if setup not in tilts:
-        raise SessionError(
-            f'setup of a board with a known pose: expected one of {", ".join(tilts)}, got "{setup}"'
-        )
+        raise SessionError(f'setup of a board with a known pose: expected one of {", ".join(tilts)}, got "{setup}"')
 
 
 def _require_cavities(targets: Sequence[Target], cavities_m: Mapping[str, Vector]) -> None:
@@ -274,11 +262,7 @@ class _Conductor(Conversation):
         normal = self._boards.normal(target.setup)
         try:
             above = self._walk.plan(
-                self._boards.tip_m(target),
-                normal,
-                target.approach,
-                self._folder.plan.approaches,
-                target.q_rad,
+                self._boards.tip_m(target), normal, target.approach, self._folder.plan.approaches, target.q_rad
             )
         except ArmError as error:
             return (yield from self._skip(target, error))
@@ -286,9 +270,7 @@ class _Conductor(Conversation):
 
     def _seated_by(self, hand: AutomaticHand, target: Target) -> Talk:
         """The mock hand seats the tip; if the arm was not moved before, the operator is asked first."""
-        if not self._boards.is_placed(target.setup) and not (
-            yield from self._ask(SessionQuestion.TAKE, target)
-        ):
+        if not self._boards.is_placed(target.setup) and not (yield from self._ask(SessionQuestion.TAKE, target)):
             return
         hand.grip()
         try:

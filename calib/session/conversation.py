@@ -112,9 +112,7 @@ def done_to(folder: SessionFolder, command: SessionCommand, asked: Target | None
     return keys
 
 
-def _meant(
-    state: SessionState, event: TargetEvent, command: SessionCommand, asked: Target | None, standing: str
-) -> list[Key]:
+def _meant(state: SessionState, event: TargetEvent, command: SessionCommand, asked: Target | None, standing: str) -> list[Key]:
     """Keys of a command. A point without a repeat means all its repeats for which the event is valid."""
     if not command.point:
         return [_unnamed(state, event, asked)]
@@ -141,9 +139,7 @@ AXES = "xyz"
 def jogged(jog: SmallMove, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
     """Joint angles after the step. SessionError for an invalid step, ArmError if it is out of reach."""
     if jog.arm:
-        raise SessionError(
-            f"jog: this session has one arm: expected an axis and a step, got {jog.arm!r} first"
-        )
+        raise SessionError(f"jog: this session has one arm: expected an axis and a step, got {jog.arm!r} first")
     q_rad = arm.average(WINDOW_s).q_rad
     if jog.axis in AXES and jog.axis:
         _require_small(jog, LONGEST_m, "m")
@@ -208,9 +204,7 @@ class Conversation(ABC):
                     return
         except _Quit:
             if left := len(self._folder.state.left()):
-                yield Message(
-                    f"stopped; left: {left} of {len(self._folder.plan.targets)}; {continues(self._folder.path)}"
-                )
+                yield Message(f"stopped; left: {left} of {len(self._folder.plan.targets)}; {continues(self._folder.path)}")
 
     @abstractmethod
     def _begin(self) -> Talk:

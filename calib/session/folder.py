@@ -79,10 +79,7 @@ class SessionFolder(Closing):
             if not self.is_resumed:
                 replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
             self._writer = PointsWriter(
-                folder / POINTS,
-                self.plan.joint_count,
-                self.plan.pose_frame,
-                (DISTANCE,) if self.plan.board == "contact" else (),
+                folder / POINTS, self.plan.joint_count, self.plan.pose_frame, (DISTANCE,) if self.plan.board == "contact" else ()
             )
         except BaseException:
             self._journal.close()
@@ -169,11 +166,7 @@ class SessionFolder(Closing):
         return state
 
     def _replayed(self, state: SessionState, entry: Entry) -> SessionState:
-        marks = {
-            TargetEvent.SKIP.value: Mark.SKIPPED,
-            TargetEvent.REDO.value: Mark.LEFT,
-            TargetEvent.BAD.value: Mark.BAD,
-        }
+        marks = {TargetEvent.SKIP.value: Mark.SKIPPED, TargetEvent.REDO.value: Mark.LEFT, TargetEvent.BAD.value: Mark.BAD}
         if entry["event"] not in marks:
             return state
         key = (str(entry["setup"]), str(entry["point"]), int(entry["repeat"]))
@@ -196,9 +189,7 @@ def _begun(folder: Path, wanted: SessionPlan | None) -> SessionPlan:
     for name in (POINTS, JOURNAL):
         file = folder / name
         if file.exists() and file.stat().st_size:
-            raise SessionError(
-                f"{folder}: {file.name} exists without {PLAN}: not a session folder; name another --out"
-            )
+            raise SessionError(f"{folder}: {file.name} exists without {PLAN}: not a session folder; name another --out")
     wanted.require_sound()
     folder.mkdir(parents=True, exist_ok=True)
     return wanted
@@ -209,9 +200,7 @@ def _kept(folder: Path, wanted: SessionPlan | None) -> tuple[SessionPlan, str]:
     try:
         text = read_text(file)
     except UnicodeDecodeError as error:
-        raise SessionError(
-            f"{file}: not the plan of a session: byte {error.start} is not UTF-8 text"
-        ) from None
+        raise SessionError(f"{file}: not the plan of a session: byte {error.start} is not UTF-8 text") from None
     except OSError as error:
         raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
     plan, started = from_json(text, file)

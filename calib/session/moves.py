@@ -167,9 +167,7 @@ class ClearPaths:
         cavities = [] if arm.table is None else [*board_cavities(arm.table).values()]
         self._reach_m = max((float(np.hypot(x, y)) for x, y, _ in cavities), default=0.0) + EDGE_m
 
-    def stops(
-        self, start_rad: Sequence[float], end_rad: Sequence[float], board: BoardPose | None
-    ) -> list[Pose]:
+    def stops(self, start_rad: Sequence[float], end_rad: Sequence[float], board: BoardPose | None) -> list[Pose]:
         """Poses to visit in order, the last of them end_rad. NoClearPath if there is no such path.
 
         `board`: its present pose; None if unknown, or without a board.
@@ -238,12 +236,7 @@ class Transfers:
     """Moves the arm from above one point to above the next."""
 
     def __init__(
-        self,
-        geometry: Geometry,
-        arm: ArmPort,
-        approach_m: float,
-        window_s: float,
-        ways: ClearPaths | None = None,
+        self, geometry: Geometry, arm: ArmPort, approach_m: float, window_s: float, ways: ClearPaths | None = None
     ) -> None:
         """`ways`: finds paths around the board; without it, every path is assumed to be clear."""
         self._geometry, self._arm, self._ways = geometry, arm, ways
@@ -262,19 +255,12 @@ class Transfers:
 
     def stands_over(self, origin_m: Vector, normal: Vector) -> None:
         """Note that the tip may be at a point, if it is lower than the points above this board's cavities."""
-        height_m = sum(
-            n * (a - b) for n, a, b in zip(normal, self._geometry.tip(self._q_rad), origin_m, strict=True)
-        )
+        height_m = sum(n * (a - b) for n, a, b in zip(normal, self._geometry.tip(self._q_rad), origin_m, strict=True))
         if height_m < NEAR * self._approach_m:
             self._normal = normal
 
     def plan(
-        self,
-        tip_m: Vector,
-        normal: Vector,
-        approach: int = 1,
-        approaches: int = 1,
-        posture_rad: Sequence[float] | None = None,
+        self, tip_m: Vector, normal: Vector, approach: int = 1, approaches: int = 1, posture_rad: Sequence[float] | None = None
     ) -> tuple[float, ...]:
         """Angles above a point, nearest to the posture, or to the geometry's; ArmError if it or the point is out of reach."""
         near = self._geometry.posture(self._q_rad) if posture_rad is None else posture_rad
@@ -315,10 +301,7 @@ class Transfers:
 # allows two of three joints on most of a board.
 
 
-SLANTS_RAD = (
-    0.6,
-    0.95,
-)  # of a slanted path against the normal: beyond 1 rad the tip would touch neighbouring cavities
+SLANTS_RAD = (0.6, 0.95)  # of a slanted path against the normal: beyond 1 rad the tip would touch neighbouring cavities
 SIDES = 8
 
 
@@ -394,9 +377,7 @@ WAY_STEPS = 25
 UNLIMITED_rad = math.pi / 2  # range taken for a joint without limits
 
 
-def chosen_free_poses(
-    arm: Arm, count: int, seen_rad: Sequence[float] | None = None
-) -> dict[str, tuple[float, ...]]:
+def chosen_free_poses(arm: Arm, count: int, seen_rad: Sequence[float] | None = None) -> dict[str, tuple[float, ...]]:
     """`count` poses by name f1, f2, ..., in an order with short paths; SessionError if there is no room.
 
     `seen_rad`: a pose in which a camera sees the target on the last link from the front. It sees it also where that link is
@@ -440,12 +421,7 @@ FREE_POSES = TableFormat(
     (
         TableColumn("point", "name of the pose; empty: f1, f2, ... by its place", is_name=True),
         TableColumn(
-            "q{}_rad",
-            "joint angles",
-            is_required=True,
-            lower=-6.0 * math.pi,
-            upper=6.0 * math.pi,
-            expected="an angle in radians",
+            "q{}_rad", "joint angles", is_required=True, lower=-6.0 * math.pi, upper=6.0 * math.pi, expected="an angle in radians"
         ),
     ),
     unwarned=".*",
@@ -457,9 +433,7 @@ def read_free_poses(path: Path, joint_count: int) -> dict[str, tuple[float, ...]
     """Poses of a file with the columns q1_rad ... and, optionally, point. SessionError names file, line and column."""
     table = read_table(path, FREE_POSES, SessionError, joint_count)
     poses: dict[str, tuple[float, ...]] = {}
-    for row, (name, q_rad) in enumerate(
-        zip(table.words("point"), table.joints("q{}_rad").tolist(), strict=True)
-    ):
+    for row, (name, q_rad) in enumerate(zip(table.words("point"), table.joints("q{}_rad").tolist(), strict=True)):
         pose = name or f"f{row + 1}"
         if pose in poses:
             raise SessionError(f"{table.place(row)}: pose {pose} appears twice")

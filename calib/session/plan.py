@@ -101,9 +101,7 @@ class SessionPlan:
         if self.board == "measured" and not self.has_camera:
             raise SessionError("a board measured by the camera needs --camera")
         if self.seat == "jog" and self.board not in ("known", "contact"):
-            raise SessionError(
-                f"--seat jog needs a board with a known pose, got {self.board}: guide the tip by hand"
-            )
+            raise SessionError(f"--seat jog needs a board with a known pose, got {self.board}: guide the tip by hand")
         if self.pose_frame == STREAM_FRAME and not all(t.is_free for t in self.targets):
             raise SessionError(
                 "the camera's frame has no known place to the arm's base, so it cannot say where the cavities of a board are:"
@@ -118,9 +116,7 @@ class SessionPlan:
             )
 
 
-def board_targets(
-    setups: Sequence[str], points: Sequence[str], repeats: int = 1, approaches: int = 1
-) -> tuple[Target, ...]:
+def board_targets(setups: Sequence[str], points: Sequence[str], repeats: int = 1, approaches: int = 1) -> tuple[Target, ...]:
     """Setup after setup; in each, round after round: every point once per approach and repeat.
 
     Records are numbered consecutively: with two approaches the odd ones come from the first side, the even from the second.
@@ -215,9 +211,7 @@ def require_same(begun: SessionPlan, wanted: SessionPlan, where: Path) -> None:
         if before != now:
             raise SessionError(f"{where}: this session began with {what} {before}, got {now}: {_REMEDY}")
     if begun.targets != wanted.targets:
-        raise SessionError(
-            f"{where}: this session began with another plan ({_difference(begun, wanted)}): {_REMEDY}"
-        )
+        raise SessionError(f"{where}: this session began with another plan ({_difference(begun, wanted)}): {_REMEDY}")
 
 
 _REMEDY = "omit the options to resume it, or name another --out"
@@ -229,9 +223,7 @@ def _difference(begun: SessionPlan, wanted: SessionPlan) -> str:
     if not gone and not new:
         return "the same points in another order"
     return " and ".join(
-        text
-        for text in (f"{gone} is not in the new one" if gone else "", f"{new} is new" if new else "")
-        if text
+        text for text in (f"{gone} is not in the new one" if gone else "", f"{new} is new" if new else "") if text
     )
 
 

@@ -111,9 +111,7 @@ class ResidualWatch:
         covariance = slopes[0] @ np.linalg.solve(information, slopes[0].T)
         return innovation[0], covariance + noise_m**2 * np.eye(3)
 
-    def _linearised(
-        self, observations: list[TipObservation], pose: BoardPose, scales: Array, x: Array
-    ) -> tuple[Array, Array]:
+    def _linearised(self, observations: list[TipObservation], pose: BoardPose, scales: Array, x: Array) -> tuple[Array, Array]:
         """Residuals (m, 3), tip minus model, and minus their derivative by each unknown, (m, 3, unknowns)."""
         dh = self._dh + (x * scales)[: self._dh.size].reshape(self._dh.shape)
         tips, by_dh = self._tips(dh, observations)
@@ -154,6 +152,4 @@ def _noise_m(residual_m: Array, used: float) -> float:
     freedom = max(0.0, residual_m.size - used)
     median_m = float(np.median(norms(residual_m))) / 1.538  # of the norm of three standard normals
     found_m2 = median_m**2 * residual_m.size / max(1.0, freedom)
-    return max(
-        FLOOR_m, float(np.sqrt((NOISE_WEIGHT * NOISE_m**2 + freedom * found_m2) / (NOISE_WEIGHT + freedom)))
-    )
+    return max(FLOOR_m, float(np.sqrt((NOISE_WEIGHT * NOISE_m**2 + freedom * found_m2) / (NOISE_WEIGHT + freedom))))

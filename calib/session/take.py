@@ -49,9 +49,7 @@ class StandstillWindow:
         return max(span - count for span, count in zip(spans_rad, self._count_rad, strict=True))
 
 
-def wait_for_rest(
-    arm: ArmPort, limit_rad: float, duration_s: float, patience_s: float, window_s: float
-) -> None:
+def wait_for_rest(arm: ArmPort, limit_rad: float, duration_s: float, patience_s: float, window_s: float) -> None:
     """Return when the arm rests; SessionError if it does not within patience_s. Reads means over window_s."""
     still = StandstillWindow(limit_rad, duration_s)
     began_s = arm.now_s()

@@ -170,9 +170,7 @@ def parse_tolerances(text: str, where: str, arm: Arm) -> Tolerances:
     for name, table in named:
         _require_possible(table, name, fault)
     if not any(spreads(table) for _, table in (*named, ("tool", document.tool))):
-        raise fault(
-            "no tolerance: expected some in [every_link], [every_joint], [link.2], [joint.1] or [tool]"
-        )
+        raise fault("no tolerance: expected some in [every_link], [every_joint], [link.2], [joint.1] or [tool]")
     noise_m = _noise_m(document.calibration, arm, fault)
     return Tolerances(document.name, links, joints, document.tool, document.calibration.poses, noise_m)
 
@@ -183,9 +181,7 @@ def spreads(table: msgspec.Struct) -> list[tuple[str, Spread]]:
     return [(key, value) for key, value in values if isinstance(value, Spread)]
 
 
-def _of_each(
-    given: dict[str, dict[str, object]], every: T, kind: type[T], count: int, what: str, fault: Fault
-) -> tuple[T, ...]:
+def _of_each(given: dict[str, dict[str, object]], every: T, kind: type[T], count: int, what: str, fault: Fault) -> tuple[T, ...]:
     """The table of each link or joint: `every`, and what its own table says instead."""
     known = [str(k) for k in range(1, count + 1)]
     for name in given:
@@ -252,11 +248,7 @@ class MadePoses:
         self.names = (*dh_names(len(arm.links)), *TOOL_NAMES)
         self._flank, self._gravity_Nm = _gears(arm, terms, at)
         first = len(self.names)
-        self._turning = [
-            (first + k, one.number - 1, self._column(one))
-            for k, one in enumerate(terms)
-            if one.kind != "bending"
-        ]
+        self._turning = [(first + k, one.number - 1, self._column(one)) for k, one in enumerate(terms) if one.kind != "bending"]
         self._bending = [
             (first + k, bending_m(arm, arm.dh, at.q_rad, at.payload_kg, one.number))
             for k, one in enumerate(terms)
@@ -431,9 +423,7 @@ class MadeArms:
                     yield Factor(name, spread, (thetas[number - 1],), is_deviation=True)
                 elif key in laws:
                     kind, is_inverse = laws[key]
-                    yield Factor(
-                        name, spread, (self._place(MakingTerm(kind, number)),), is_inverse=is_inverse
-                    )
+                    yield Factor(name, spread, (self._place(MakingTerm(kind, number)),), is_inverse=is_inverse)
                 else:
                     yield Factor(name, spread, self._wave(number, _waves(key, table)))
 

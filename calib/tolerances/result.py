@@ -14,19 +14,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ANGLE_BOUND_rad, ArmModel, LENGTH_BOUND_m
 from calib.arrays import Array
 from calib.points.writer import replace_file
-from calib.report.page import (
-    AFTER,
-    BEFORE,
-    PLANNED,
-    Section,
-    bullets,
-    page,
-    pair,
-    paragraph,
-    svg,
-    table,
-    verdict,
-)
+from calib.report.page import AFTER, BEFORE, PLANNED, Section, bullets, page, pair, paragraph, svg, table, verdict
 from calib.results import Provenance
 from calib.studies import ChunkStore
 from calib.tolerances.making import MadeArms
@@ -95,10 +83,7 @@ def made_of(design: StudyDesign, store: ChunkStore) -> Made:
     mean_square = np.concatenate([part["mean_square_m2"] for part in parts], axis=1)
     distance = np.concatenate([part["distance_m"] for part in parts if "distance_m" in part], axis=1)
     kept = np.concatenate([part["kept_m"] for part in parts], axis=1)
-    costs = [
-        _cost(name, mean_square, store.read(design.chunks + k)["mean_square_m2"])
-        for k, name in enumerate(design.factors)
-    ]
+    costs = [_cost(name, mean_square, store.read(design.chunks + k)["mean_square_m2"]) for k, name in enumerate(design.factors)]
     return Made(design, kept, mean_square, distance, tuple(costs))
 
 
@@ -108,9 +93,7 @@ def _cost(name: str, every: Array, exact: Array) -> FactorShare:
     whole = every[:, :count].mean(axis=1)
     gain = every[:, :count] - exact
     share, spread = gain.mean(axis=1) / whole, Z95 * gain.std(axis=1) / math.sqrt(count) / whole
-    figures = tuple(
-        IntervalFigure(float(s), float(s - d), float(s + d)) for s, d in zip(share, spread, strict=True)
-    )
+    figures = tuple(IntervalFigure(float(s), float(s - d), float(s + d)) for s, d in zip(share, spread, strict=True))
     left_m = np.sqrt(every.mean(axis=1) * np.maximum(0.0, 1.0 - share))
     return FactorShare(name, figures, tuple(left_m.tolist()))
 
@@ -191,10 +174,7 @@ def stage_heading(tolerance_m: float | None) -> tuple[str, ...]:
 
 def cost_rows(made: Made, stage: int) -> list[tuple[str, str, str]]:
     """The costliest tolerances: name, share of the mean square error, what is left if it is exact [mm]."""
-    return [
-        (one.name, _percent(one.share[stage]), f"{1e3 * one.left_m[stage]:.3f}")
-        for one in costliest(made, stage)[:LISTED]
-    ]
+    return [(one.name, _percent(one.share[stage]), f"{1e3 * one.left_m[stage]:.3f}") for one in costliest(made, stage)[:LISTED]]
 
 
 def as_text(made: Made, tolerance_m: float | None) -> str:
@@ -259,10 +239,7 @@ def _stage(made: Made, stage: int, tolerance_m: float | None) -> dict[str, objec
         "kept_m": kept,
         "rms_m": made.rms_m(stage),
         "share_within_tolerance": None if tolerance_m is None else made.within(stage, tolerance_m),
-        "costs": [
-            {"name": one.name, "share": one.share[stage], "left_rms_m": one.left_m[stage]}
-            for one in made.costs
-        ],
+        "costs": [{"name": one.name, "share": one.share[stage], "left_rms_m": one.left_m[stage]} for one in made.costs],
     }
 
 
@@ -315,13 +292,7 @@ def _draw_maps(figure: Figure, made: Made) -> None:
     for stage, axes in enumerate(figure.subplots(1, len(STAGES))):
         kept_mm = 1e3 * made.map_m(stage)
         seen = axes.scatter(
-            away_mm,
-            tips_mm[:, 2],
-            c=kept_mm,
-            cmap=COLOURS,
-            vmin=0.0,
-            vmax=float(np.quantile(kept_mm, 0.98)),
-            s=12,
+            away_mm, tips_mm[:, 2], c=kept_mm, cmap=COLOURS, vmin=0.0, vmax=float(np.quantile(kept_mm, 0.98)), s=12
         )
         axes.set(xlabel="distance from the axis of the base [mm]", ylabel="z [mm]", aspect="equal")
         axes.set_title(STAGES[stage], loc="left")
@@ -332,9 +303,7 @@ def _draw_costs(figure: Figure, made: Made) -> None:
     figure.subplots_adjust(left=0.15, right=0.98, top=0.9, bottom=0.15, wspace=1.0)
     for stage, axes in enumerate(figure.subplots(1, len(STAGES))):
         first = costliest(made, stage)[:BARS][::-1]
-        shares = np.array(
-            [[one.share[stage].value, one.share[stage].lower, one.share[stage].upper] for one in first]
-        )
+        shares = np.array([[one.share[stage].value, one.share[stage].lower, one.share[stage].upper] for one in first])
         spread = 100 * np.abs(shares[:, 1:] - shares[:, :1]).T
         axes.barh(
             [one.name for one in first],
@@ -359,9 +328,7 @@ COSTS = (
 )
 
 
-def tolerances_report(
-    made: Made, tolerance_m: float | None, warnings: Sequence[str], provenance: Provenance
-) -> str:
+def tolerances_report(made: Made, tolerance_m: float | None, warnings: Sequence[str], provenance: Provenance) -> str:
     """The page."""
     head = ("tolerance", *COSTS_HEAD)
     costs = [f"<h3>{name}</h3>{table(head, cost_rows(made, stage))}" for stage, name in enumerate(STAGES)]
@@ -370,9 +337,7 @@ def tolerances_report(
         verdict(sentences(made, tolerance_m)),
         Section("How accurate the arms are", paragraph(ABOUT) + stages + shares_picture(made, tolerance_m)),
         Section("Over the workspace", map_picture(made)),
-        Section(
-            "What costs most", paragraph(COSTS) + costs_picture(made) + pair(costs[0], costs[1]) + costs[2]
-        ),
+        Section("What costs most", paragraph(COSTS) + costs_picture(made) + pair(costs[0], costs[1]) + costs[2]),
     ]
     if warnings:
         parts.append(Section("Warnings", bullets(warnings)))

@@ -127,12 +127,7 @@ class StudyDesign:
 
 
 def design_of(
-    arm: Arm,
-    tolerances: Tolerances,
-    arms_count: int,
-    payload_kg: float = 0.0,
-    recorded_q: Array | None = None,
-    seed: int = 0,
+    arm: Arm, tolerances: Tolerances, arms_count: int, payload_kg: float = 0.0, recorded_q: Array | None = None, seed: int = 0
 ) -> StudyDesign:
     """A study of `arms_count` arms. `recorded_q` (m, n): poses of the calibration; else they are spread over the workspace."""
     rng = np.random.default_rng(POSES_SEED)
@@ -206,8 +201,7 @@ class _Study:
             geometry += range(len(geometry), len(geometry) + 3)
         noise_m = design.tolerances.noise_m
         self._identified = tuple(
-            StudyIdentification(made, self._seen, places, noise_m)
-            for places in (geometry, [*geometry, *made.correctable])
+            StudyIdentification(made, self._seen, places, noise_m) for places in (geometry, [*geometry, *made.correctable])
         )
 
     def errors(self, number: int, count: int) -> Results:
@@ -215,10 +209,7 @@ class _Study:
         rng = task_rng(self._design.seed, number)
         blocks = [self._block(rng, min(BLOCK, count - k)) for k in range(0, count, BLOCK)]
         distances = np.concatenate(blocks, axis=1)  # (stages, arms, poses)
-        found = {
-            "mean_square_m2": np.mean(distances**2, axis=2),
-            "kept_m": np.quantile(distances, SHARE, axis=2),
-        }
+        found = {"mean_square_m2": np.mean(distances**2, axis=2), "kept_m": np.quantile(distances, SHARE, axis=2)}
         mapped = max(0, MAP_ARMS - number * CHUNK)
         return found | ({"distance_m": distances[:, :mapped]} if mapped else {})
 

@@ -49,9 +49,7 @@ AXIS_rad: Final = 1e-4
 BENDING_m: Final = 5e-5
 FIELD_m: Final = 3e-5
 DEPARTURE: Final = 0.2  # of a law, as parts of arms keep theirs; the rest of its source shares its size
-ANGLE_LENGTH_rad: Final = (
-    0.7  # over which the rest of an angle's error is alike: up to three waves a turn pass
-)
+ANGLE_LENGTH_rad: Final = 0.7  # over which the rest of an angle's error is alike: up to three waves a turn pass
 FIELD_LENGTH: Final = 0.4  # of the reach, over which the tip's error is alike
 BEYOND: Final = 1.25  # the functions live on this many times the travel, so that its ends are free
 FIELD_WAVES: Final = 16  # random Fourier features of the field, for each axis
@@ -177,11 +175,7 @@ class Discrepancy:
         for k in range(self._arm.joint_count):
             if k != j:
                 straight = (q_rad[:, k] - self._centre[k]) / self._travel[k]
-                yield (
-                    f"angle of joint {k + 1}",
-                    COUPLING_rad,
-                    np.column_stack((straight, DEPARTURE * _waves(q_rad[:, k]))),
-                )
+                yield (f"angle of joint {k + 1}", COUPLING_rad, np.column_stack((straight, DEPARTURE * _waves(q_rad[:, k]))))
         if self._load_Nm is not None and self._load_Nm[j] > 0.0:
             pull = load[:, j]
             curve = DEPARTURE * np.column_stack((np.abs(pull), pull * np.abs(pull)))
@@ -192,10 +186,7 @@ class Discrepancy:
 
     def _bent(self, at: Conditions, link: int) -> Array:
         """The tip's displacement by a bending link, and how its payload's part departs: no link is an even beam, (m, 3, 2)."""
-        whole, bare = (
-            bending_m(self._arm, self._arm.dh, at.q_rad, kg, link)
-            for kg in (at.payload_kg, 0.0 * at.payload_kg)
-        )
+        whole, bare = (bending_m(self._arm, self._arm.dh, at.q_rad, kg, link) for kg in (at.payload_kg, 0.0 * at.payload_kg))
         return np.stack((whole, DEPARTURE * (whole - bare)), axis=2)
 
     def _gears(self, at: Conditions) -> tuple[Array, Array]:
@@ -233,9 +224,7 @@ class Discrepancy:
         """The same (m, 3, n), by the standard deviation of where its gear lies."""
         return self.by_play(at, dh, tool_m) * np.sqrt(1.0 - self._gears(at)[1] ** 2)[:, None, :]
 
-    def weighed(
-        self, at: Conditions, left_m: Array, moves_m: Array, noise_m: float
-    ) -> tuple[Array, Array | None]:
+    def weighed(self, at: Conditions, left_m: Array, moves_m: Array, noise_m: float) -> tuple[Array, Array | None]:
         """Odds (n, SHARES) and flanks (m, n) by what is left (m, 3) at poses where play moves the tip by moves_m (m, 3, n)."""
         found = self._at_rest(at)
         if found is None:
@@ -352,9 +341,7 @@ class Gears:
     def expected(self) -> Array:
         """Mean of each gear's flank (m, n), -1 .. 1: its own where it is clear, 0 of a guided gear."""
         shares = zip(SHARES.tolist(), self.odds.T, strict=True)
-        positive = sum(
-            (odd * self.positive(share) for share, odd in shares), np.zeros(self.state.flank.shape)
-        )
+        positive = sum((odd * self.positive(share) for share, odd in shares), np.zeros(self.state.flank.shape))
         return np.asarray(np.where(self.is_open, np.clip(2.0 * positive - 1.0, -1.0, 1.0), self.state.flank))
 
     def drawn(self, count: int, rng: np.random.Generator) -> Array:
@@ -403,6 +390,4 @@ def _pulled(left_m: Array, moves_m: Array, mean: Array, joint: int, noise_m: flo
     loose_m = moves_m * np.sqrt(is_other * (1.0 - mean**2))[:, None, :]
     spread = np.einsum("mij,mkj->mik", loose_m, loose_m) + noise_m**2 * np.eye(3)
     rest = left_m - np.einsum("mij,mj->mi", moves_m, is_other * mean)
-    return np.asarray(
-        np.einsum("mi,mi->m", moves_m[:, :, joint], np.linalg.solve(spread, rest[:, :, None])[:, :, 0])
-    )
+    return np.asarray(np.einsum("mi,mi->m", moves_m[:, :, joint], np.linalg.solve(spread, rest[:, :, None])[:, :, 0]))

@@ -61,9 +61,7 @@ class Posterior:
         return np.asarray(self.mean + normal @ root.T)
 
 
-def posterior_of(
-    problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, used: Mask | None = None
-) -> Posterior:
+def posterior_of(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, used: Mask | None = None) -> Posterior:
     """The posterior of the poses `at` that `problem` holds; of the rows `used` (m,) alone, if given."""
     rows = np.ones(len(problem), dtype=bool) if used is None else used
     x = np.zeros(len(problem.parameters))
@@ -96,9 +94,7 @@ def _weighed(
     return discrepancy.weighed(at, left_m * rows[:, None], moves_m * rows[:, None, None], found.noise_m)
 
 
-def linearised(
-    problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, x: Array
-) -> tuple[Array, Array]:
+def linearised(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, x: Array) -> tuple[Array, Array]:
     """Rows A (m, 3, k) and right-hand sides (m, 3) with A z = rhs + noise, around unknowns x."""
     residuals, jacobian = problem.residuals_and_jacobian(x)
     solved = problem.solution(x)
@@ -253,13 +249,7 @@ class Predictor:
     """Predicts errors of an arm from the posterior of its poses. `reference_q` (w, n) spans its workspace."""
 
     def __init__(
-        self,
-        arm: Arm,
-        problem: ArmProblem,
-        discrepancy: Discrepancy,
-        posterior: Posterior,
-        repeat_m: float,
-        reference_q: Array,
+        self, arm: Arm, problem: ArmProblem, discrepancy: Discrepancy, posterior: Posterior, repeat_m: float, reference_q: Array
     ) -> None:
         """`repeat_m`: standard deviation of one axis from visit to visit, without the measurement's noise."""
         self._arm, self._discrepancy, self.posterior = arm, discrepancy, posterior
@@ -291,9 +281,7 @@ class Predictor:
         linear = columns @ self.posterior.mean
         geometry = self._geometry_columns(poses) @ self.posterior.mean[self.own_places]
         solved = self._solved
-        bend = self._model.tips(solved.dh, poses.q_rad, solved.tool_m) - self._model.tips(
-            self._arm.dh, poses.q_rad
-        )
+        bend = self._model.tips(solved.dh, poses.q_rad, solved.tool_m) - self._model.tips(self._arm.dh, poses.q_rad)
         return np.asarray(linear + (bend - geometry if self.is_tied else 0.0))
 
     def _geometry_columns(self, poses: Conditions) -> Array:
@@ -435,6 +423,4 @@ def reliability_of(predictor: Predictor, path: Path, tolerance_m: float, seed: i
         distances[k] = np.linalg.norm(error, axis=1)
     largest = distances.max(axis=1)
     worst = float(path.times_s[int(np.argmax(distances.mean(axis=0)))])
-    return Reliability(
-        tolerance_m, DRAWS, int((largest <= tolerance_m).sum()), largest, worst, float(path.times_s[-1])
-    )
+    return Reliability(tolerance_m, DRAWS, int((largest <= tolerance_m).sum()), largest, worst, float(path.times_s[-1]))

@@ -48,9 +48,7 @@ class PoseFigures:
     measured_repeatability_m: float | None
 
 
-def pose_figures(
-    predictor: Predictor, arm: Arm, points: Points, path: Path, seed: int = 0
-) -> tuple[PoseFigures, ...]:
+def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path, seed: int = 0) -> tuple[PoseFigures, ...]:
     """Of every pose of the plain programmes in points.csv of `armwright iso9283`."""
     groups, _ = pose_groups(points, arm, path)
     keys = list(zip(points.setup, points.point, strict=True))
@@ -159,12 +157,7 @@ ABOUT = (
 )
 
 
-def trust_report(
-    trust: Trust,
-    tasks: Sequence[Reliability],
-    poses: Sequence[PoseFigures],
-    made: Provenance,
-) -> str:
+def trust_report(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseFigures], made: Provenance) -> str:
     """The page."""
     parts: list[Section | str] = [verdict(sentences(trust))]
     if tasks:
@@ -176,8 +169,7 @@ def trust_report(
         Section("In space, and by payload", pair(space_picture(trust), payload_picture(trust))),
         Section(
             "What costs most",
-            table(("if this were known exactly", "left [mm]", "expected [mm]"), cause_rows(trust))
-            + causes_picture(trust),
+            table(("if this were known exactly", "left [mm]", "expected [mm]"), cause_rows(trust)) + causes_picture(trust),
         ),
     ]
     if trust.warnings:
@@ -250,9 +242,7 @@ def _draw_shares(figure: Figure, trust: Trust) -> None:
         reach = np.max([one.within_95_m for one in trust.of_payload(payload_kg)], axis=0)
         share = np.arange(1, len(reach) + 1) / len(reach)
         style = DASHES[number % len(DASHES)]
-        axes.plot(
-            1e3 * np.sort(reach), 100 * share, style, color=AFTER, label=f"{payload_kg:g} kg at the tip"
-        )
+        axes.plot(1e3 * np.sort(reach), 100 * share, style, color=AFTER, label=f"{payload_kg:g} kg at the tip")
     if trust.request.tolerance_m is not None:
         axes.axvline(1e3 * trust.request.tolerance_m, color=PLANNED, linewidth=1.0)
     axes.set(xlabel="distance kept in 95 % of visits [mm]", ylabel="share of the poses [%]", ylim=(0, 100))
@@ -406,12 +396,8 @@ def trust_json(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseF
             "left_rms_m": found.left_m,
             "predicted_rms_m": found.predicted_m,
         },
-        "causes": [
-            entries(one, "name", "expected_m", "uncertain_m", "without_m") for one in trust.importances
-        ],
-        "sizes": dict(
-            zip((one.name for one in trust.discrepancy.sources), trust.posterior.sizes, strict=True)
-        ),
+        "causes": [entries(one, "name", "expected_m", "uncertain_m", "without_m") for one in trust.importances],
+        "sizes": dict(zip((one.name for one in trust.discrepancy.sources), trust.posterior.sizes, strict=True)),
         "tasks": [_task_json(one) for one in tasks],
         "iso9283": pose_json(poses),
         "in_words": [*sentences(trust), *(line for one in tasks for line in task_sentences(one))],

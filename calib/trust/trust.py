@@ -76,9 +76,7 @@ class Trust:
     @property
     def within_95_m(self) -> Array:
         """The largest of both directions without payload, (m,)."""
-        return np.asarray(
-            np.max([one.within_95_m for one in self.of_payload(self.sheets[0].payload_kg)], axis=0)
-        )
+        return np.asarray(np.max([one.within_95_m for one in self.of_payload(self.sheets[0].payload_kg)], axis=0))
 
     def of_payload(self, payload_kg: float) -> tuple[TrustSheet, ...]:
         """The sheets of one payload."""
@@ -102,9 +100,7 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     predictor = Predictor(arm, problem, discrepancy, posterior, repeat_m, poses[:: max(1, len(poses) // 200)])
     advance("predicting errors over the workspace", 0.4)
     sheets = tuple(
-        _sheet(predictor, poses, direction, payload_kg)
-        for payload_kg in request.payloads_kg
-        for direction in DIRECTIONS
+        _sheet(predictor, poses, direction, payload_kg) for payload_kg in request.payloads_kg for direction in DIRECTIONS
     )
     coverage = None
     if request.is_checked:
@@ -113,18 +109,7 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     groups = importances(predictor, problem, discrepancy, Conditions.of(poses, 1.0, request.payloads_kg[0]))
     advance("done", 1.0)
     return Trust(
-        arm,
-        points,
-        request,
-        posterior,
-        predictor,
-        discrepancy,
-        poses,
-        sheets,
-        coverage,
-        groups,
-        measuring_m,
-        tuple(warnings),
+        arm, points, request, posterior, predictor, discrepancy, poses, sheets, coverage, groups, measuring_m, tuple(warnings)
     )
 
 
@@ -195,9 +180,7 @@ def coverage_of(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy) -
     for k in range(FOLDS):
         held = fold == k
         left[held], covariance = _predicted(problem, at, discrepancy, held)
-        squares[held] = np.einsum(
-            "mi,mi->m", left[held], np.linalg.solve(covariance, left[held][:, :, None])[:, :, 0]
-        )
+        squares[held] = np.einsum("mi,mi->m", left[held], np.linalg.solve(covariance, left[held][:, :, None])[:, :, 0])
         promised[held] = np.trace(covariance, axis1=1, axis2=2)
     before = problem.residuals(np.zeros(len(problem.parameters)))
     return Coverage(
@@ -209,9 +192,7 @@ def coverage_of(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy) -
     )
 
 
-def _predicted(
-    problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, held: np.ndarray
-) -> tuple[Array, Array]:
+def _predicted(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, held: np.ndarray) -> tuple[Array, Array]:
     """What is left at the poses `held` (h, 3), and its predicted covariance (h, 3, 3)."""
     found = posterior_of(problem, at, discrepancy, ~held)
     discrepancy = discrepancy.knowing(found.odds)
@@ -240,9 +221,7 @@ class Importance:
     without_m: float
 
 
-def importances(
-    predictor: Predictor, problem: ArmProblem, discrepancy: Discrepancy, at: Conditions
-) -> tuple[Importance, ...]:
+def importances(predictor: Predictor, problem: ArmProblem, discrepancy: Discrepancy, at: Conditions) -> tuple[Importance, ...]:
     """Of every link's geometry, the tool, and every source, the costliest first."""
     columns = predictor.columns(at).reshape(-1, len(predictor.posterior.mean))
     gram = columns.T @ columns / len(at)
@@ -251,9 +230,7 @@ def importances(
     return tuple(sorted(found, key=lambda one: -(one.expected_m**2 + one.uncertain_m**2)))
 
 
-def _groups(
-    names: Sequence[str], discrepancy: Discrepancy, predictor: Predictor
-) -> list[tuple[str, list[int]]]:
+def _groups(names: Sequence[str], discrepancy: Discrepancy, predictor: Predictor) -> list[tuple[str, list[int]]]:
     groups: dict[str, list[int]] = {}
     for k in predictor.own_places:
         name = names[k]

@@ -94,11 +94,7 @@ class HeldOut:
             remaining = [k for k, row in enumerate(fold.rows) if row not in rows]
             if remaining:
                 names = tuple(fold.rows[k] for k in remaining)
-                folds.append(
-                    replace(
-                        fold, rows=names, before_m=fold.before_m[remaining], after_m=fold.after_m[remaining]
-                    )
-                )
+                folds.append(replace(fold, rows=names, before_m=fold.before_m[remaining], after_m=fold.after_m[remaining]))
         return HeldOut(self.by, tuple(folds)) if folds else None
 
     @property
@@ -146,8 +142,7 @@ def _setups(points: Points) -> list[tuple[str, list[int]]]:
     names = list(dict.fromkeys(points.setup))
     if len(names) < 2:
         raise CalibrationError(
-            f'held-out error: expected two setups or more, got one ("{names[0]}"); hold out every {FOLDS_COUNT}th point'
-            " instead"
+            f'held-out error: expected two setups or more, got one ("{names[0]}"); hold out every {FOLDS_COUNT}th point instead'
         )
     parts = []
     for name in names:
@@ -171,18 +166,14 @@ def _free_parts(points: Points, rows: list[int]) -> list[tuple[str, list[int]]]:
 def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:
     """Interleaved folds; repeats of a point stay together if there are enough points."""
     if not 2 <= k <= len(points):
-        raise CalibrationError(
-            f"held-out error: expected to hold out every k-th point, k from 2 to {len(points)}; got {k}"
-        )
+        raise CalibrationError(f"held-out error: expected to hold out every k-th point, k from 2 to {len(points)}; got {k}")
     if not seen_again(zip(points.setup, points.point, strict=True)):  # a table of very many names is large
         return [(f"part {j + 1} of {k}", list(range(j, len(points), k))) for j in range(k)]
     keys: list[object] = list(zip(points.setup, points.point, strict=True))
     if len(set(keys)) < GROUPS_PER_FOLD * k:
         keys = list(range(len(points)))
     place = {key: i % k for i, key in enumerate(dict.fromkeys(keys))}
-    return [
-        (f"part {j + 1} of {k}", [row for row, key in enumerate(keys) if place[key] == j]) for j in range(k)
-    ]
+    return [(f"part {j + 1} of {k}", [row for row, key in enumerate(keys) if place[key] == j]) for j in range(k)]
 
 
 def _fold(predictor: Predictor, points: Points, name: str, rows: Sequence[int]) -> list[Fold]:
@@ -199,9 +190,7 @@ def _fold(predictor: Predictor, points: Points, name: str, rows: Sequence[int]) 
         return []
     distances = [_distances(*one, is_referred, groups)[used] for one in (before, after)]
     measure: Measure = "error" if is_referred.any() else "scatter"
-    return [
-        Fold(name, tuple(rows[int(k)] for k in used), measure, frozen(distances[0]), frozen(distances[1]))
-    ]
+    return [Fold(name, tuple(rows[int(k)] for k in used), measure, frozen(distances[0]), frozen(distances[1]))]
 
 
 def _is_known(seen: ArmProblem, row: int, known: set[str]) -> bool:

@@ -32,24 +32,18 @@ from control.model.arm import Arm
 
 Grade = Literal["good", "noise not known", "not at the floor", "over-fitted", "worse", "too few points"]
 
-FREEDOM_MINIMUM = (
-    20  # the noise is then known to 1 / sqrt(2 * 20) = 16 %; with fewer, ratios to it are meaningless
-)
+FREEDOM_MINIMUM = 20  # the noise is then known to 1 / sqrt(2 * 20) = 16 %; with fewer, ratios to it are meaningless
 WORSE_PERCENT = 0.0  # improvement on held-out points
 OVER_FITTED = 2.0  # held-out over fitted RMS, beyond sqrt((1 + p/3m) / (1 - p/3m)) from noise
 EXACT_m = 1e-6  # held-out errors below follow rounding and no noise: nobody measures a tip to a micrometre
 UNTOUCHED = 0.3  # of the stated noise: points that scatter less were not measured with it
 GOOD = 1.5  # held-out over noise: the remaining error is then about as large as the noise (sqrt(1.5^2 - 1) = 1.1)
-CONDITION_LIMIT = (
-    100.0  # above, the weakest combination of parameters is 100 times less certain than the best
-)
+CONDITION_LIMIT = 100.0  # above, the weakest combination of parameters is 100 times less certain than the best
 # Of its arm, Table 5 "Original": |d| and |L| of each link; a calibrated one of that kind is within some millimetres.
 PAPER_LENGTHS_m = np.array([[0.076, 0.0], [0.0, 0.4], [0.012, 0.0], [0.3543, 0.0]])
 SAME_ARM_m = 0.01
 PAPER_PERCENT = {"normal": 38.8, "roll": 28.9, "pitch": 17.3}  # SpringerPlus 5:1771, Table 4
-MEAN_OF_NORM = math.sqrt(
-    8.0 / math.pi
-)  # mean length of a normal vector of three coordinates, standard deviation 1
+MEAN_OF_NORM = math.sqrt(8.0 / math.pi)  # mean length of a normal vector of three coordinates, standard deviation 1
 SAME_POSTURE_rad = 0.02  # repeats in one posture show only noise; in several, model errors too
 # Degrees of freedom that a noise from repeats needs, here and in `gap`: it is then known to 24 %; and how to get there.
 REPEATS_FREEDOM = 9
@@ -94,10 +88,7 @@ def noise_floor(arm: Arm, points: Points, problem: ArmProblem, x: Array) -> Nois
     Repeats are poses in one cavity and posture with the same payload, reached from the same side: their differences
     are noise; a varying effect can only increase it.
     """
-    found = [
-        _from_repeats(points, problem.residuals(x)),
-        _from_covariances(points) or _from_camera(arm, points),
-    ]
+    found = [_from_repeats(points, problem.residuals(x)), _from_covariances(points) or _from_camera(arm, points)]
     known = [floor for floor in found if floor is not None]
     return min(known, key=lambda floor: floor.axis_m) if known else None
 
@@ -109,15 +100,11 @@ def _from_repeats(points: Points, errors: Array) -> NoiseFloor | None:
         freedom += 3 * (len(rows) - 1)
     if freedom < REPEATS_FREEDOM or squares <= 0.0:
         return None
-    return NoiseFloor(
-        math.sqrt(squares / freedom), f"the scatter of repeats ({freedom} degrees of freedom)", freedom
-    )
+    return NoiseFloor(math.sqrt(squares / freedom), f"the scatter of repeats ({freedom} degrees of freedom)", freedom)
 
 
 def _from_covariances(points: Points) -> NoiseFloor | None:
-    variances = points.covariance[
-        :, [POSITION.index(name) for name in ("cov_xx_m2", "cov_yy_m2", "cov_zz_m2")]
-    ]
+    variances = points.covariance[:, [POSITION.index(name) for name in ("cov_xx_m2", "cov_yy_m2", "cov_zz_m2")]]
     known = np.isfinite(variances).all(axis=1)
     if not known.mean() > 0.5:
         return None
@@ -182,9 +169,7 @@ def _slips(suspects: Suspects | None) -> frozenset[int]:
     return frozenset(one.row for one in suspects.outliers)
 
 
-def _grade(
-    found: Identification, held: HeldOut | None, floor: NoiseFloor | None, slips: Collection[int] = ()
-) -> Grade:
+def _grade(found: Identification, held: HeldOut | None, floor: NoiseFloor | None, slips: Collection[int] = ()) -> Grade:
     if 3 * len(found.error_after_m) - found.rank < FREEDOM_MINIMUM or held is None:
         return "too few points"
     if held.improvement_percent <= WORSE_PERCENT:
@@ -257,9 +242,7 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
             f" {1e3 * floor.mean_m:.3f} mm; the error is {after / (1e3 * floor.mean_m):.2f} times that."
         )
     else:
-        sentences.append(
-            "The noise is unknown: there are no repeats in one posture, and the arm's file gives no camera noise."
-        )
+        sentences.append("The noise is unknown: there are no repeats in one posture, and the arm's file gives no camera noise.")
     return sentences
 
 
@@ -303,9 +286,7 @@ def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups:
     """Next steps, the most useful first."""
     sentences = []
     if grade == "too few points":
-        sentences.append(
-            "Take more points: all cavities of the board, in three tilts; armwright plan-poses chooses them."
-        )
+        sentences.append("Take more points: all cavities of the board, in three tilts; armwright plan-poses chooses them.")
     if grade == "not at the floor":
         sentences.append(
             "Run armwright gap: it looks for backlash, compliance and other effects in the residuals. Poses approached from"

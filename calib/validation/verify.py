@@ -35,9 +35,7 @@ from control.plain_text import aligned
 # Detects points that the calibration has already used, by the file's hash and pose by pose.
 
 
-USED_POSE_rad = (
-    0.002  # difference of every joint, about a millimetre at the tip, below which a pose is not new
-)
+USED_POSE_rad = 0.002  # difference of every joint, about a millimetre at the tip, below which a pose is not new
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +54,11 @@ def already_used(calibrated: Arm, q_rad: Array, sha256: str = "") -> Used:
     made = calibrated.calibration
     if made is None:
         return Used(
-            0,
-            (
-                f"arm {calibrated.name} does not name its calibration data: whether these points were used for it is"
-                " unknown",
-            ),
+            0, (f"arm {calibrated.name} does not name its calibration data: whether these points were used for it is unknown",)
         )
     name = next((name for name, digest in made.inputs.items() if sha256 and digest == sha256), None)
     if name is not None:
-        return Used(
-            len(q_rad),
-            (f"these points are {name}, from which the arm was calibrated: they cannot verify it",),
-        )
+        return Used(len(q_rad), (f"these points are {name}, from which the arm was calibrated: they cannot verify it",))
     sentences, missing, total = [], [], 0
     for name, digest in made.inputs.items():
         if not name.endswith((".csv", ".csv.gz")):
@@ -96,9 +87,7 @@ def _poses_of(calibrated: Arm, name: str, digest: str) -> Array | None:
     try:
         return read_points(path, calibrated.joint_count)[0].q_rad
     except CalibrationError:
-        return np.zeros(
-            (0, calibrated.joint_count)
-        )  # the right file, but without poses, such as a board's registration
+        return np.zeros((0, calibrated.joint_count))  # the right file, but without poses, such as a board's registration
 
 
 def _same_count(q_rad: Array, used_rad: Array) -> int:
@@ -192,12 +181,7 @@ class Track:
 
     def chosen(self, rows: npt.NDArray[np.intp] | slice) -> Track:
         """The samples of these rows."""
-        return Track(
-            self.name,
-            frozen(self.time_s[rows]),
-            frozen(self.planned_m[rows]),
-            frozen(self.measured_m[rows]),
-        )
+        return Track(self.name, frozen(self.time_s[rows]), frozen(self.planned_m[rows]), frozen(self.measured_m[rows]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,13 +328,9 @@ def compare(
     """Compare errors; CalibrationError if the arrays do not match or are not finite."""
     shapes = {np.shape(tip_m), np.shape(before_m), np.shape(after_m), (len(setup), 3), (len(point), 3)}
     if len(shapes) != 1 or not len(setup):
-        raise CalibrationError(
-            f"names, tips and errors: expected equal shapes and at least one point, got {sorted(shapes)}"
-        )
+        raise CalibrationError(f"names, tips and errors: expected equal shapes and at least one point, got {sorted(shapes)}")
     if not all(np.isfinite(values).all() for values in (tip_m, before_m, after_m)):
-        raise CalibrationError(
-            "a tip or an error is not a finite number: remove points that were not measured"
-        )
+        raise CalibrationError("a tip or an error is not a finite number: remove points that were not measured")
     unknown = np.full(len(setup), np.nan)
     return Comparison(
         tuple(setup),
@@ -363,9 +343,7 @@ def compare(
     )
 
 
-def compare_repeated(
-    setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array
-) -> Comparison:
+def compare_repeated(setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array) -> Comparison:
     """As `compare`, with several rows per point: its error is the mean vector of its repeats.
 
     The interval of a point's distance is that of the repeats' parts along the mean error: t s / sqrt(k).
@@ -395,9 +373,7 @@ def _of_repeats(errors_m: Array) -> tuple[Array, float]:
 
 def comparison_text(comparison: Comparison) -> str:
     """The comparison as a table of plain text, in mm."""
-    rows: list[tuple[str, ...]] = [
-        ("setup", "points", "", "mean [mm]", "95 % interval", "RMS", "max", "sd", "improvement")
-    ]
+    rows: list[tuple[str, ...]] = [("setup", "points", "", "mean [mm]", "95 % interval", "RMS", "max", "sd", "improvement")]
     for entry in comparison.by_setup():
         rows.append((entry.setup, str(entry.before.count), "before", *_figures(entry.before), ""))
         rows.append(("", "", "after", *_figures(entry.after), f"{entry.improvement_percent:.1f} %"))
@@ -506,9 +482,7 @@ def measuring_frame(arm: Arm, points: Points) -> Frame:
         return base_frame_of(arm)
     rows = np.isfinite(points.tip_m).all(axis=1)
     if rows.sum() < LEAST_POSES:
-        raise CalibrationError(
-            f"{int(rows.sum())} tips in a frame of unknown place, {LEAST_POSES} are needed to place it"
-        )
+        raise CalibrationError(f"{int(rows.sum())} tips in a frame of unknown place, {LEAST_POSES} are needed to place it")
     motion = best_motion(points.tip_m[rows], predicted_tips(arm, points)[rows])
     return Frame(CAMERA if points.in_camera_frame else BASE, frozen(motion.rotation), frozen(motion.shift_m))
 

@@ -41,11 +41,7 @@ def advice(fit: LensFit) -> tuple[str, ...]:
             lambda one: one.sighting.blur_px > BLUR_MOST_px,
             "blurred: hold the board still, add light, focus once and keep it",
         ),
-        _named(
-            fit.seen,
-            lambda one: one.sighting.contrast < CONTRAST_LEAST,
-            "pale: add light, avoid reflections on the print",
-        ),
+        _named(fit.seen, lambda one: one.sighting.contrast < CONTRAST_LEAST, "pale: add light, avoid reflections on the print"),
         _about_outliers(fit.seen),
         *_about_result(fit),
     ]
@@ -122,9 +118,7 @@ def _about_result(fit: LensFit) -> list[str]:
             " a lens beyond this model (fish-eye); check that the board is flat"
         )
     if fit.held_out_px is not None and fit.held_out_px > HELD_OUT_TIMES * fit.rms_px:
-        found.append(
-            f"pictures left out are off by {fit.held_out_px:.2f} px, those of the fit by {fit.rms_px:.2f} px: take more"
-        )
+        found.append(f"pictures left out are off by {fit.held_out_px:.2f} px, those of the fit by {fit.rms_px:.2f} px: take more")
     return found
 
 
@@ -133,10 +127,7 @@ def systematic_px(fit: LensFit) -> float:
     pixels = np.concatenate([one.sighting.corners.picture_px for one in fit.seen])
     error = np.concatenate([one.error_px for one in fit.seen])
     cells = 2 * CELLS
-    place = np.clip((cells * pixels / [fit.lens.width_px, fit.lens.height_px]).astype(int), 0, cells - 1) @ [
-        1,
-        cells,
-    ]
+    place = np.clip((cells * pixels / [fit.lens.width_px, fit.lens.height_px]).astype(int), 0, cells - 1) @ [1, cells]
     largest = 0.0
     for cell in np.unique(place):
         here: Array = error[place == cell]
@@ -176,9 +167,7 @@ def lens_text(fit: LensFit) -> str:
     pictures = [("picture", "corners", "px", "mm away", "tilt, deg", "blur px"), *map(_picture, fit.seen)]
     lines += [aligned(rows), "", aligned(pictures)]
     said = advice(fit)
-    lines += (
-        ["", *(f"To do: {sentence}." for sentence in said)] if said else ["", "The pictures lack nothing."]
-    )
+    lines += ["", *(f"To do: {sentence}." for sentence in said)] if said else ["", "The pictures lack nothing."]
     return "\n".join(lines) + "\n"
 
 
@@ -191,12 +180,8 @@ def _picture(one: SeenPicture) -> tuple[str, ...]:
 
 def poses_text(found: PoseSet) -> str:
     """How many pictures gave a pose, how certain, and why the others did not."""
-    lines = [
-        f"{len(found.measured)} of {len(found.measured) + len(found.rejected)} pictures give a pose of the target."
-    ]
-    lines += [
-        f"Camera {name}: a corner is found to {noise:.3f} px." for name, noise in found.noise_px.items()
-    ]
+    lines = [f"{len(found.measured)} of {len(found.measured) + len(found.rejected)} pictures give a pose of the target."]
+    lines += [f"Camera {name}: a corner is found to {noise:.3f} px." for name, noise in found.noise_px.items()]
     lines += [_spread_line("standard deviation, median", found.measured, 0.5)]
     lines += [_spread_line("standard deviation, largest", found.measured, 1.0)]
     lines += [_common_line(found.measured)]
@@ -225,8 +210,4 @@ def _spread(covariance: np.ndarray, one: MeasuredPose) -> tuple[float, float, fl
     position, turn = covariance[:3, :3], covariance[3:, 3:]
     along = float(ray @ position @ ray)
     across = 0.5 * (float(np.trace(position)) - along)
-    return (
-        math.sqrt(max(along, 0.0)),
-        math.sqrt(max(across, 0.0)),
-        math.sqrt(max(np.linalg.eigvalsh(turn)[-1], 0.0)),
-    )
+    return (math.sqrt(max(along, 0.0)), math.sqrt(max(across, 0.0)), math.sqrt(max(np.linalg.eigvalsh(turn)[-1], 0.0)))

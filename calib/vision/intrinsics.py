@@ -75,17 +75,13 @@ class LensFit:
     @property
     def rms_px(self) -> float:
         """Root mean square of the residual's length over all corners."""
-        return float(
-            np.sqrt(np.mean(np.sum(np.concatenate([one.error_px for one in self.seen]) ** 2, axis=1)))
-        )
+        return float(np.sqrt(np.mean(np.sum(np.concatenate([one.error_px for one in self.seen]) ** 2, axis=1))))
 
 
 def fit_lens(target: PrintedTarget, pictures: Sightings, readout_s: float = 0.0) -> LensFit:
     """Identify the lens. VisionError if the pictures do not allow it."""
     if len(pictures.seen) < PICTURES_LEAST:
-        remedy = (
-            pictures.remedy or "check --board (columns x rows of squares), --dictionary, light and sharpness"
-        )
+        remedy = pictures.remedy or "check --board (columns x rows of squares), --dictionary, light and sharpness"
         raise VisionError(
             f"the board ({target.name}) is in {len(pictures.seen)} of {len(pictures.seen) + len(pictures.unseen)} pictures,"
             f" {PICTURES_LEAST} are needed: {remedy}"
@@ -100,10 +96,7 @@ def _cleared(pictures: Sightings) -> Sightings:
     """The pictures without corners that were found beside their place."""
     fit = _fitted(pictures, pictures.seen)
     noise = robust_noise_px(np.concatenate([one.error_px for one in fit.seen]))
-    seen = (
-        replace(one.sighting, corners=one.sighting.corners.agreeing(one.error_px, noise, CORNERS_LEAST))
-        for one in fit.seen
-    )
+    seen = (replace(one.sighting, corners=one.sighting.corners.agreeing(one.error_px, noise, CORNERS_LEAST)) for one in fit.seen)
     return replace(pictures, seen=tuple(seen))
 
 
@@ -165,12 +158,9 @@ def _refined(lens: Lens, chosen: Sequence[Sighting], free: int) -> LensFit:
     covariance[:free, :free] = noise**2 * _inverse(shared_step(*_blocks(parts, free))[2])
     lens = replace(lens, covariance=frozen(covariance), noise_px=noise)
     if not (np.isfinite(lens.sd).all() and (lens.sd[:2] < FOCAL_SHARE_MOST * lens.values[:2]).all()):
-        raise VisionError(
-            f"the pictures determine no lens (the focal length is uncertain by more than 10 %): {_MORE}"
-        )
+        raise VisionError(f"the pictures determine no lens (the focal length is uncertain by more than 10 %): {_MORE}")
     seen = [
-        SeenPicture(one, pose, frozen(part.error_px.reshape(-1, 2)))
-        for one, pose, part in zip(chosen, poses, parts, strict=True)
+        SeenPicture(one, pose, frozen(part.error_px.reshape(-1, 2))) for one, pose, part in zip(chosen, poses, parts, strict=True)
     ]
     return LensFit(lens, tuple(seen), (), None)
 
@@ -200,9 +190,7 @@ def _inverse(normal: Array) -> Array:
 def _pose(lens: Lens, one: Sighting) -> Pose:
     found = started_pose(CameraView(lens, one.corners), is_flat=True)
     if found is None:
-        raise VisionError(
-            f"picture {one.name}: its {len(one.corners)} corners fit no pose of the board: leave it out"
-        )
+        raise VisionError(f"picture {one.name}: its {len(one.corners)} corners fit no pose of the board: leave it out")
     return found
 
 
@@ -227,13 +215,7 @@ PIXELS_MOST = 100_000
 READOUT_MOST_s = 1.0
 
 
-def write_camera(
-    path: Path,
-    fit: LensFit,
-    target: str,
-    said: Sequence[str],
-    made: Provenance,
-) -> None:
+def write_camera(path: Path, fit: LensFit, target: str, said: Sequence[str], made: Provenance) -> None:
     """Write the fit; `said`: the advice."""
     lens = fit.lens
     content = {

@@ -65,25 +65,17 @@ class Lens:
         a, b = points_m[:, 0] / z, points_m[:, 1] / z
         s = a * a + b * b
         g, by_s = 1.0 + s * (k1 + s * (k2 + s * k3)), k1 + s * (2.0 * k2 + 3.0 * s * k3)
-        bent = np.array(
-            [a * g + 2 * p1 * a * b + p2 * (s + 2 * a * a), b * g + p1 * (s + 2 * b * b) + 2 * p2 * a * b]
-        )
+        bent = np.array([a * g + 2 * p1 * a * b + p2 * (s + 2 * a * a), b * g + p1 * (s + 2 * b * b) + 2 * p2 * a * b])
         cross = 2 * a * b * by_s + 2 * p1 * a + 2 * p2 * b
         by_ray = np.array(
-            [
-                [g + 2 * a * a * by_s + 2 * p1 * b + 6 * p2 * a, cross],
-                [cross, g + 2 * b * b * by_s + 6 * p1 * b + 2 * p2 * a],
-            ]
+            [[g + 2 * a * a * by_s + 2 * p1 * b + 6 * p2 * a, cross], [cross, g + 2 * b * b * by_s + 6 * p1 * b + 2 * p2 * a]]
         )
         zero, one = np.zeros_like(a), np.ones_like(a)
         ray = np.array([[one, zero, -a], [zero, one, -b]]) / z
         focal = np.array([fx, fy])
         by_point = np.einsum("i,ijk,jlk->kil", focal, by_ray, ray)
         by_bend = np.array(
-            [
-                [a * s, a * s**2, 2 * a * b, s + 2 * a * a, a * s**3],
-                [b * s, b * s**2, s + 2 * b * b, 2 * a * b, b * s**3],
-            ]
+            [[a * s, a * s**2, 2 * a * b, s + 2 * a * a, a * s**3], [b * s, b * s**2, s + 2 * b * b, 2 * a * b, b * s**3]]
         )
         by_values = np.zeros((len(a), 2, len(NAMES)))
         by_values[:, 0, 0], by_values[:, 1, 1] = bent
@@ -162,10 +154,7 @@ def misfit(view: CameraView, pose: Pose) -> Misfit:
     by_stand = np.concatenate((by_point, -by_point @ cross_matrices(about)), axis=2)
     rows = 2 * len(pixels)
     return Misfit(
-        (view.corners.picture_px - pixels).ravel(),
-        by_pose.reshape(rows, 6),
-        by_lens.reshape(rows, -1),
-        by_stand.reshape(rows, 6),
+        (view.corners.picture_px - pixels).ravel(), by_pose.reshape(rows, 6), by_lens.reshape(rows, -1), by_stand.reshape(rows, 6)
     )
 
 
@@ -195,21 +184,13 @@ def candidates(view: CameraView, is_flat: bool) -> list[Pose]:
     origin, axes = (points.mean(axis=0), _plane(points)) if is_flat else (np.zeros(3), np.eye(3))
     try:
         _, turns, shifts, _ = cv2.solvePnPGeneric(
-            (points - origin) @ axes,
-            view.corners.picture_px,
-            lens.matrix,
-            np.array(lens.distortion),
-            flags=method,
+            (points - origin) @ axes, view.corners.picture_px, lens.matrix, np.array(lens.distortion), flags=method
         )
     except cv2.error:
         return []
     found = [Pose(rotation_of(np.ravel(w)) @ axes.T, np.ravel(s)) for w, s in zip(turns, shifts, strict=True)]
     local = [Pose(one.rotation, one.position_m - one.rotation @ origin) for one in found]
-    return [
-        view.stand.inverse.after(one)
-        for one in local
-        if np.isfinite(one.position_m).all() and one.position_m[2] > 0.0
-    ]
+    return [view.stand.inverse.after(one) for one in local if np.isfinite(one.position_m).all() and one.position_m[2] > 0.0]
 
 
 def started_pose(view: CameraView, is_flat: bool) -> Pose | None:
@@ -246,11 +227,7 @@ def shared_step(
 
 
 def _squares(views: Sequence[CameraView], pose: Pose) -> float:
-    if any(
-        pose.rotation[2] @ point + pose.position_m[2] <= 0.0
-        for view in views
-        for point in view.corners.target_m[:1]
-    ):
+    if any(pose.rotation[2] @ point + pose.position_m[2] <= 0.0 for view in views for point in view.corners.target_m[:1]):
         return float("inf")
     return float(sum(np.sum(misfit(view, pose).error_px ** 2) for view in views))
 

@@ -91,9 +91,7 @@ class PoseSet:
     noise_px: Mapping[str, float]
 
 
-def measure_poses(
-    target: PrintedTarget, cameras: Sequence[CameraPictures], speed_m_s: float = 0.0
-) -> PoseSet:
+def measure_poses(target: PrintedTarget, cameras: Sequence[CameraPictures], speed_m_s: float = 0.0) -> PoseSet:
     """Poses of all pictures; pictures of several cameras with one name were taken at one moment.
 
     speed_m_s: the fastest that the target may have moved while a picture was taken. VisionError if no picture can be used.
@@ -105,10 +103,7 @@ def measure_poses(
         raise VisionError(f"no picture shows {target.name}: check the target's options, light and sharpness")
     stands = stands_of({c.name: c.lens for c in cameras}, by_name, target.is_flat)
     by_name = {name: _cleared(parts, stands, target.is_flat) for name, parts in by_name.items()}
-    solved, rejected = (
-        {},
-        [RejectedPicture(name, "does not show the target") for name in _unseen(cameras, by_name)],
-    )
+    solved, rejected = ({}, [RejectedPicture(name, "does not show the target") for name in _unseen(cameras, by_name)])
     for name, parts in by_name.items():
         views = [CameraView(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
         solved[name] = (views, best_poses(views, target.is_flat))
@@ -125,9 +120,7 @@ def measure_poses(
             measured.append(_measured(name, own, views, poses[0][0], scale, spread, speed_m_s))
     if not measured:
         remedies = [f"; {camera.pictures.remedy}" for camera in cameras if camera.pictures.remedy]
-        raise VisionError(
-            f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}{remedies[0] if remedies else ''}"
-        )
+        raise VisionError(f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}{remedies[0] if remedies else ''}")
     return PoseSet(tuple(measured), tuple(rejected), stands, noise)
 
 
@@ -174,9 +167,7 @@ def _cleared(
 Solved = tuple[list[CameraView], list[tuple[Pose, float]]]
 
 
-def _noise(
-    by_name: Mapping[str, list[tuple[CameraPictures, Sighting]]], solved: Mapping[str, Solved]
-) -> dict[str, float]:
+def _noise(by_name: Mapping[str, list[tuple[CameraPictures, Sighting]]], solved: Mapping[str, Solved]) -> dict[str, float]:
     """Noise of a corner of each camera: robust, from the residuals of its pictures.
 
     With few corners a picture says little, and a moved one much: the median over pictures of its variance.
@@ -202,9 +193,7 @@ def _pooled(parts: Sequence[tuple[float, float]]) -> float:
     return math.sqrt(max(total / max(freedom, 1.0), 1e-12))
 
 
-def _reason(
-    views: Sequence[CameraView], poses: Sequence[tuple[Pose, float]], noise_px: Sequence[float]
-) -> str:
+def _reason(views: Sequence[CameraView], poses: Sequence[tuple[Pose, float]], noise_px: Sequence[float]) -> str:
     """Why a picture's pose is not used; empty if it is."""
     if not poses:
         return "fits no pose of the target"
@@ -231,31 +220,21 @@ def _measured(
     speed_m_s: float,
 ) -> MeasuredPose:
     parts = [misfit(view, pose) for view in views]
-    information = sum(
-        (p.by_pose.T @ p.by_pose / s**2 for p, s in zip(parts, noise_px, strict=True)), np.zeros((6, 6))
-    )
+    information = sum((p.by_pose.T @ p.by_pose / s**2 for p, s in zip(parts, noise_px, strict=True)), np.zeros((6, 6)))
     inverse: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
     weighted = sum((p.error_px @ p.error_px / s**2 for p, s in zip(parts, noise_px, strict=True)), 0.0)
     freedom = sum(len(p.error_px) for p in parts) - 6
-    own = (POOLED_FREEDOM + weighted) / (
-        POOLED_FREEDOM + freedom
-    )  # this picture's variance over the usual one
+    own = (POOLED_FREEDOM + weighted) / (POOLED_FREEDOM + freedom)  # this picture's variance over the usual one
     common = _common(inverse, parts, views, noise_px, stands)
     moved = motion_covariance(views, speed_m_s)
     corners = sum(len(view.corners) for view in views)
     rms = math.sqrt(sum(float(p.error_px @ p.error_px) for p in parts) / corners)
     covariance: Array = own * inverse + common + moved
-    return MeasuredPose(
-        name, pose, frozen(covariance), frozen(common), rms, corners, tuple(c.name for c in cameras)
-    )
+    return MeasuredPose(name, pose, frozen(covariance), frozen(common), rms, corners, tuple(c.name for c in cameras))
 
 
 def _common(
-    inverse: Array,
-    parts: Sequence[Misfit],
-    views: Sequence[CameraView],
-    noise_px: Sequence[float],
-    stands: Sequence[Array],
+    inverse: Array, parts: Sequence[Misfit], views: Sequence[CameraView], noise_px: Sequence[float], stands: Sequence[Array]
 ) -> Array:
     """Covariance (6, 6) of a pose by what all pictures share: lenses, and where the cameras stand."""
     found = np.zeros((6, 6))
@@ -336,9 +315,7 @@ def stands_of(
     return found
 
 
-def _stand(
-    first: Lens, second: Lens, pairs: Sequence[tuple[SeenCorners, SeenCorners]], is_flat: bool
-) -> Stand:
+def _stand(first: Lens, second: Lens, pairs: Sequence[tuple[SeenCorners, SeenCorners]], is_flat: bool) -> Stand:
     """Least squares over the stand and the target's pose in every pair of pictures."""
     poses, stand = _started(first, second, pairs, is_flat)
     before, parts = np.inf, _misfits(first, second, pairs, poses, stand)
@@ -361,14 +338,9 @@ def _started(
     """Each camera for itself; the stand is the mean of what the pairs say."""
     poses, stands = [], []
     for ours, theirs in pairs:
-        mine, other = (
-            started_pose(CameraView(first, ours), is_flat),
-            started_pose(CameraView(second, theirs), is_flat),
-        )
+        mine, other = (started_pose(CameraView(first, ours), is_flat), started_pose(CameraView(second, theirs), is_flat))
         if mine is None or other is None:
-            raise VisionError(
-                "a picture of two cameras fits no pose of the target: check --board, --tag and the cameras' files"
-            )
+            raise VisionError("a picture of two cameras fits no pose of the target: check --board, --tag and the cameras' files")
         poses.append(mine)
         stands.append(other.after(mine.inverse))
     rotation = mean_rotation(np.array([one.rotation for one in stands]))
@@ -377,11 +349,7 @@ def _started(
 
 
 def _misfits(
-    first: Lens,
-    second: Lens,
-    pairs: Sequence[tuple[SeenCorners, SeenCorners]],
-    poses: Sequence[Pose],
-    stand: Pose,
+    first: Lens, second: Lens, pairs: Sequence[tuple[SeenCorners, SeenCorners]], poses: Sequence[Pose], stand: Pose
 ) -> list[tuple[Misfit, Misfit]]:
     return [
         (misfit(CameraView(first, ours), pose), misfit(CameraView(second, theirs, stand), pose))

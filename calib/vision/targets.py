@@ -32,9 +32,7 @@ PICTURE_MOST_bytes = 64 << 20
 
 def opencv() -> Any:
     """The module cv2. VisionError with the remedy where it is not installed."""
-    os.environ.setdefault(
-        "OPENCV_IO_MAX_IMAGE_PIXELS", str(PICTURE_MOST_px)
-    )  # before a header that lies takes the memory
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(PICTURE_MOST_px))  # before a header that lies takes the memory
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # a damaged picture is said in one sentence
     try:
         module = importlib.import_module("cv2")
@@ -87,24 +85,15 @@ def read_picture(file: Path) -> Picture:
 BOARD_DICTIONARY = "4x4_250"
 TAG_DICTIONARY = "apriltag_36h11"
 MARKER_SHARE = 0.75  # of a square, where nobody says: what common generators print
-FAR_OFF = (
-    5.0  # noises of one axis: a corner that was found beside its place, of which a board has one in fifty
-)
+FAR_OFF = 5.0  # noises of one axis: a corner that was found beside its place, of which a board has one in fifty
 SQUARES_MOST = 50
 TAGS = TableFormat(
     "tag",
     (
-        TableColumn(
-            "tag", "its number in the dictionary", is_required=True, is_whole=True, lower=0.0, upper=1e6
-        ),
-        TableColumn(
-            "size_m", "edge of its black square", is_required=True, lower=1e-9, expected="a length above 0"
-        ),
+        TableColumn("tag", "its number in the dictionary", is_required=True, is_whole=True, lower=0.0, upper=1e6),
+        TableColumn("size_m", "edge of its black square", is_required=True, lower=1e-9, expected="a length above 0"),
         *(TableColumn(name, "its centre in the body's frame", is_required=True) for name in TIP),
-        *(
-            TableColumn(name, "its orientation in the body's frame; empty: as the body's")
-            for name in ORIENTATION
-        ),
+        *(TableColumn(name, "its orientation in the body's frame; empty: as the body's") for name in ORIENTATION),
     ),
     unwarned=".*",
     separated=IMPORT,
@@ -125,11 +114,7 @@ class SeenCorners:
     def agreeing(self, error_px: Array, noise_px: float, least: int) -> SeenCorners:
         """Those whose residual (k, 2) is not far above the noise; all, if fewer than `least` are."""
         keep = np.linalg.norm(error_px, axis=1) <= FAR_OFF * noise_px
-        return (
-            SeenCorners(frozen(self.target_m[keep]), frozen(self.picture_px[keep]))
-            if keep.sum() >= least
-            else self
-        )
+        return SeenCorners(frozen(self.target_m[keep]), frozen(self.picture_px[keep])) if keep.sum() >= least else self
 
 
 class PrintedTarget(Protocol):
@@ -169,9 +154,7 @@ class Charuco:
     def __post_init__(self) -> None:
         """VisionError for a board that cannot be printed."""
         if not (3 <= self.columns <= SQUARES_MOST and 3 <= self.rows <= SQUARES_MOST):
-            raise VisionError(
-                f"--board {self.columns}x{self.rows}: expected 3 to {SQUARES_MOST} squares a side, such as 5x7"
-            )
+            raise VisionError(f"--board {self.columns}x{self.rows}: expected 3 to {SQUARES_MOST} squares a side, such as 5x7")
         if not 0.0 < self.marker_m < self.square_m:
             raise VisionError(
                 f"--marker: expected a length between 0 and the square's {1e3 * self.square_m:g} mm, got"
@@ -234,9 +217,7 @@ class Charuco:
         return SeenCorners(frozen(flat * self.square_m), frozen(np.asarray(pixels, float).reshape(-1, 2)))
 
     def _board(self) -> Any:
-        board = opencv().aruco.CharucoBoard(
-            (self.columns, self.rows), self.square_m, self.marker_m, _dictionary(self.dictionary)
-        )
+        board = opencv().aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, _dictionary(self.dictionary))
         board.setLegacyPattern(self.is_legacy)
         return board
 
@@ -299,8 +280,7 @@ class Tags:
             if seen:
                 corners_px = [refined_square(picture, found) for found in seen.values()]
                 return SeenCorners(
-                    frozen(np.concatenate([self.corners_m[number] for number in seen])),
-                    frozen(np.concatenate(corners_px)),
+                    frozen(np.concatenate([self.corners_m[number] for number in seen])), frozen(np.concatenate(corners_px))
                 )
         return NOTHING
 
@@ -485,9 +465,7 @@ class Sightings:
     remedy: str = ""
 
 
-def look_for(
-    target: PrintedTarget, files: Sequence[Path], least: int, advance: Advance = silent
-) -> Sightings:
+def look_for(target: PrintedTarget, files: Sequence[Path], least: int, advance: Advance = silent) -> Sightings:
     """Find a target in pictures of one camera; fewer than `least` corners do not count.
 
     VisionError for an unreadable picture, pictures of several sizes, or two with one name.
@@ -521,8 +499,7 @@ def _remedy(target: PrintedTarget, files: Sequence[Path], least: int) -> str:
     """With which option most pictures, of some that are spread evenly, show the target."""
     some = files[:: max(1, len(files) // TRIED)]
     shown = {
-        option: sum(len(other.find(read_picture(file))) >= least for file in some)
-        for option, other in target.others.items()
+        option: sum(len(other.find(read_picture(file))) >= least for file in some) for option, other in target.others.items()
     }
     best = max(shown, key=lambda option: shown[option], default="")
     return f"{best}, {shown[best]} of {len(some)} pictures show it" if best and shown[best] else ""

@@ -33,11 +33,7 @@ def run(given: argparse.Namespace) -> int:
     arm = load_arm(given.arm)
     if given.command == "export-arm":
         own = {LEROBOT: _given_back, PYTHON: _compensation}
-        return (
-            own[given.export](arm, given)
-            if given.export in own
-            else _export(arm, given.export, Path(given.out))
-        )
+        return own[given.export](arm, given) if given.export in own else _export(arm, given.export, Path(given.out))
     if given.lerobot:
         return _taken_over(arm, given)
     found, absent = sheet(arm), missing(arm)
@@ -72,9 +68,7 @@ def _given_back(arm: Arm, given: argparse.Namespace) -> int:
     from calib.export import write_new
 
     if not given.lerobot:
-        raise ArmError(
-            "--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept"
-        )
+        raise ArmError("--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept")
     generic = load_arm(given.generic) if given.generic else arm
     motors, notes = given_back(arm, read_calibration(Path(given.lerobot)), generic)
     write_new(Path(given.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
@@ -133,7 +127,5 @@ def described(arm: Arm) -> str:
         values = ", ".join(f"{name} {value:.4g}" for name, value in one.parameters.items())
         lines.append(f"effect {one.effect}{where}: {values}")
     if arm.calibration:
-        lines.append(
-            f"calibrated from {arm.calibration.source} on {arm.calibration.date} ({arm.calibration.objective})"
-        )
+        lines.append(f"calibrated from {arm.calibration.source} on {arm.calibration.date} ({arm.calibration.objective})")
     return "\n".join(lines)

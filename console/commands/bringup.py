@@ -21,14 +21,7 @@ from control.plain_text import aligned
 from firmware_iface.clock import Clock
 from procedures.bringup.bench import Setting, open_bench, opened
 from procedures.bringup.diagnosis import Diagnosis
-from procedures.bringup.procedure import (
-    BringupOptions,
-    BringupOutcome,
-    Journal,
-    bring_up,
-    brought_up,
-    caution_of,
-)
+from procedures.bringup.procedure import BringupOptions, BringupOutcome, Journal, bring_up, brought_up, caution_of
 from procedures.bringup.workbench import BringupOperator, Stopped, TerminalOperator
 from procedures.doctor.boards import open_boards, sample
 from procedures.doctor.finding import Finding, Level, as_json, as_text, verdict, worst
@@ -75,9 +68,7 @@ def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> BringupOp
     if given.current is not None:
         largest = min(drive.current_limit_A for drive in arm.drives)
         if not 0.05 <= given.current <= largest:
-            raise ArmError(
-                f"--current: expected 0.05 to {largest:g} A (the smallest current_limit_A), got {given.current:g}"
-            )
+            raise ArmError(f"--current: expected 0.05 to {largest:g} A (the smallest current_limit_A), got {given.current:g}")
     return BringupOptions(tuple(wanted), given.current, given.speed, not given.no_stops)
 
 
@@ -92,27 +83,19 @@ def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[BringupOp
         yield operator
 
 
-def _bring_up(
-    setting: Setting, operator: BringupOperator, journal: Journal, options: BringupOptions, out: Path
-) -> int:
+def _bring_up(setting: Setting, operator: BringupOperator, journal: Journal, options: BringupOptions, out: Path) -> int:
     operator.say(PREFACE.format(name=setting.draft.name))
     if journal.passed():
-        operator.say(
-            f"From {journal.path}: joints {', '.join(map(str, journal.passed()))} have already passed."
-        )
+        operator.say(f"From {journal.path}: joints {', '.join(map(str, journal.passed()))} have already passed.")
     try:
-        currents_A = {
-            drive.joint: caution_of(setting.arm, drive, options).current_A for drive in setting.arm.drives
-        }
+        currents_A = {drive.joint: caution_of(setting.arm, drive, options).current_A for drive in setting.arm.drives}
         with open_bench(setting.arm, setting.clock, operator, currents_A) as bench:
             outcome = BringupOutcome()
             if options.joints:
                 outcome = bring_up(setting.arm, bench, operator, journal, options)
             serials = bench.serials()
     except Stopped as stopped:
-        sys.stderr.write(
-            f"armwright: {stopped}; the drives are off. The same command continues from {journal.path}\n"
-        )
+        sys.stderr.write(f"armwright: {stopped}; the drives are off. The same command continues from {journal.path}\n")
         return 1
     for joint, result in sorted(outcome.diagnoses.items()):
         operator.say(figures_in_words(joint, result))
@@ -130,9 +113,7 @@ def _say_problems(outcome: BringupOutcome, journal: Journal, out: Path) -> None:
     sys.stderr.write(f"armwright: {len(outcome.problems)} to fix first, so {out} was not written:\n")
     for problem in outcome.problems:
         sys.stderr.write(f"  - {problem}\n")
-    sys.stderr.write(
-        f"Joints that passed are saved in {journal.path}: the same command continues with the others.\n"
-    )
+    sys.stderr.write(f"Joints that passed are saved in {journal.path}: the same command continues with the others.\n")
 
 
 def _wired(drive: Drive) -> str:

@@ -48,9 +48,7 @@ def run_together(given: argparse.Namespace) -> int:
     names = tuple(name for name, *_ in (*(given.to or ()), *(given.run or ()), *(given.beside or ())))
     if len(names) < 2 or len(set(names)) < len(names):
         got = ", ".join(names) or "none"
-        raise ArmError(
-            f"together: expected one --to, --run or --beside for each of two arms or more, got {got}"
-        )
+        raise ArmError(f"together: expected one --to, --run or --beside for each of two arms or more, got {got}")
     with connected_arms(given, names) as clients:
         cell = _with_tools(load_cell(given.cell), clients)
         paths = {name: _planned(cell, name, file, clients[name]) for name, file in files.items()}
@@ -61,14 +59,9 @@ def run_together(given: argparse.Namespace) -> int:
             motions[name] = paths[name].joints
         if paths:
             with shown(clients[names[0]], given, "together: to the first way-points"):
-                _start(
-                    clients, {name: _move(path.q_start_rad, TO_START_SPEED) for name, path in paths.items()}
-                )
+                _start(clients, {name: _move(path.q_start_rad, TO_START_SPEED) for name, path in paths.items()})
         moves = {name: _move(q_rad, given.speed) for name, q_rad in targets.items()}
-        moves |= {
-            name: {"path": path.to_message(), "tool": clients[name].status()["tool"]}
-            for name, path in paths.items()
-        }
+        moves |= {name: {"path": path.to_message(), "tool": clients[name].status()["tool"]} for name, path in paths.items()}
         with shown(clients[names[0]], given):
             _start(clients, moves)
     return 0
@@ -76,26 +69,17 @@ def run_together(given: argparse.Namespace) -> int:
 
 def _with_tools(cell: Cell, clients: Mapping[str, ArmClient]) -> Cell:
     """The arms of the clients with the tools on that their runtimes have on."""
-    return cell.with_arms(
-        [with_present_tool(p.arm, clients[p.name]) if p.name in clients else p.arm for p in cell.arms]
-    )
+    return cell.with_arms([with_present_tool(p.arm, clients[p.name]) if p.name in clients else p.arm for p in cell.arms])
 
 
-def _joint_move(
-    cell: Cell, name: str, q_rad: tuple[float, ...], speed: float, clients: Mapping[str, ArmClient]
-) -> Motion:
+def _joint_move(cell: Cell, name: str, q_rad: tuple[float, ...], speed: float, clients: Mapping[str, ArmClient]) -> Motion:
     """As the runtime will plan it from where the arm holds."""
     start = tuple(clients[name].status()["joint_set_rad"])
     return JointMove(start, q_rad, JointLimits.of(cell.placed(name).arm).scaled(speed))
 
 
 def _beside(
-    cell: Cell,
-    name: str,
-    other: str,
-    file: str,
-    motions: Mapping[str, Motion],
-    clients: Mapping[str, ArmClient],
+    cell: Cell, name: str, other: str, file: str, motions: Mapping[str, Motion], clients: Mapping[str, ArmClient]
 ) -> PlannedPath:
     """A path relative to the tip of another arm, which moves meanwhile; prints how long both take."""
     if other == name or other not in motions:
@@ -136,9 +120,7 @@ def _move(q_rad: tuple[float, ...], speed: float) -> dict[str, Any]:
 
 
 def _planned(cell: Cell, name: str, file: str, client: ArmClient) -> PlannedPath:
-    path = plan_path(
-        cell.placed(name).arm, read_waypoints(Path(file)), q_near_rad=client.status()["joint_rad"]
-    )
+    path = plan_path(cell.placed(name).arm, read_waypoints(Path(file)), q_near_rad=client.status()["joint_rad"])
     sys.stdout.write(f"{name}: {described(path)}")
     sys.stdout.flush()
     return path
@@ -196,9 +178,7 @@ def session_of_contacts(given: argparse.Namespace) -> int:
     """Start or resume a session of contacts, and run it until the operator ends it or all are done."""
     for name in (*(option for option in OPTIONS if option not in OF_BOTH), "socket"):
         if getattr(given, name) is not None:
-            raise SessionError(
-                f"--{name} is for one arm at a board: with --cell, the contacts are in --contacts"
-            )
+            raise SessionError(f"--{name} is for one arm at a board: with --cell, the contacts are in --contacts")
     if given.has_arm:
         raise SessionError("--arm is for one arm at a board: the arms are those of --cell")
     cell = load_cell(given.cell)
@@ -247,9 +227,7 @@ def _wanted(given: argparse.Namespace, cell: Cell, names: Names, identity: str) 
     if given.contacts is None:
         if (Path(given.out) / PLAN).exists() and given.seat is None:
             return None
-        raise SessionError(
-            "--contacts: expected a file of planned contacts (`armwright plan-contacts --out FILE`)"
-        )
+        raise SessionError("--contacts: expected a file of planned contacts (`armwright plan-contacts --out FILE`)")
     arms = (cell.placed(names[0]).arm, cell.placed(names[1]).arm)
     planned, _ = read_contacts(Path(given.contacts), arms)
     plan = contact_plan(names, identity, planned, given.seat or "hand")

@@ -10,8 +10,21 @@ from hil_mocks.scenario import shipped_scenarios
 
 FOLDERS: Final = ("DIR",)
 FILES: Final = (
-    "FILE", "LOG", "P", "L", "M", "B", "SCRIPT", "PATH", "URL", "DIR|FILE", "FILE|DIR", "N|FILE", "FILE.rrd", "NEW.toml",
-)  # fmt: skip
+    "FILE",
+    "LOG",
+    "P",
+    "L",
+    "M",
+    "B",
+    "SCRIPT",
+    "PATH",
+    "URL",
+    "DIR|FILE",
+    "FILE|DIR",
+    "N|FILE",
+    "FILE.rrd",
+    "NEW.toml",
+)
 ARM, SCENARIO = "A", "S"
 WHERE: Final = {
     "bash": "armwright completion bash > ~/.local/share/bash-completion/completions/armwright",
@@ -70,8 +83,5 @@ def _named_in_bash() -> str:
     """Functions that complete supplied names and files."""
     return "".join(
         f'{function}() {{\n  compgen -W "{" ".join(names)}" -- "$1"\n  compgen -f -- "$1"\n}}\n'
-        for function, names in (
-            ("_armwright_arms", arm_names()),
-            ("_armwright_scenarios", shipped_scenarios()),
-        )
+        for function, names in (("_armwright_arms", arm_names()), ("_armwright_scenarios", shipped_scenarios()))
     )

@@ -23,9 +23,7 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError("console: needs a terminal; `armwright script` runs files of commands")
     from console.screen.app import ConsoleApp
 
-    os.environ.setdefault(
-        CONTROL_KEY, secrets.token_hex(16)
-    )  # the commands that it starts are this operator's, too
+    os.environ.setdefault(CONTROL_KEY, secrets.token_hex(16))  # the commands that it starts are this operator's, too
     ConsoleApp(_of_cell(given) if given.cell is not None else [_of_arm(given)]).run()
     return 0
 
@@ -35,9 +33,7 @@ def _of_arm(given: argparse.Namespace) -> "ArmAtDesk":
 
     arm = load_arm(given.arm)
     socket = socket_path(given, arm)
-    files = Files(
-        Path(given.places), Path(given.teach), Path(given.keep) if given.keep else None, Path(given.sessions)
-    )
+    files = Files(Path(given.places), Path(given.teach), Path(given.keep) if given.keep else None, Path(given.sessions))
     return ArmAtDesk(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)})
 
 

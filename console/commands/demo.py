@@ -39,9 +39,7 @@ def run_demo(given: argparse.Namespace) -> int:
             raise CalibrationError(f"--{name} is only for `armwright demo {demo}`")
     for name, demos in NOT.items():
         if getattr(given, name) and given.what in demos:
-            raise CalibrationError(
-                f"--{name.removeprefix('has_')} is not for `armwright demo {given.what}`, which has its own"
-            )
+            raise CalibrationError(f"--{name.removeprefix('has_')} is not for `armwright demo {given.what}`, which has its own")
     return {"gap": _gap, "camera": _camera, "two-arms": _two_arms}.get(given.what, _on_the_table)(given)
 
 
@@ -61,9 +59,7 @@ def _say(sentences: Sequence[str], files: Mapping[str, object]) -> None:
 
 def _on_the_table(given: argparse.Namespace) -> int:
     """The full workflow, or the paper's experiment: home, move, record the table, calibrate, verify, report."""
-    conduct, usual, scenario = (
-        (_paper, "out/demo-paper", "paper") if given.what == "paper" else (_job, "out/demo", "demo")
-    )
+    conduct, usual, scenario = (_paper, "out/demo-paper", "paper") if given.what == "paper" else (_job, "out/demo", "demo")
     arm, file = load_arm(given.arm), given.arm
     if given.boards is not None:
         arm = on_boards(arm, given.boards)
@@ -136,9 +132,7 @@ def _camera(given: argparse.Namespace) -> int:
     opencv()
     arm = load_arm(given.arm)
     if arm.name != "right":
-        raise CalibrationError(
-            f'demo camera: its camera stands before the reference arm; expected --arm right, got "{arm.name}"'
-        )
+        raise CalibrationError(f'demo camera: its camera stands before the reference arm; expected --arm right, got "{arm.name}"')
     drawn = seeded_scenario(given.scenario or "demo", given.seed, was_homed=True)
     out = _folder(given, "out/demo-camera", drawn)
     with Bar("demo") as bar:
@@ -188,9 +182,7 @@ def _cell(given: argparse.Namespace, folder: Path) -> int:
 
 
 def _wait(rig: MockProcess, what: str, scenario: str, option: str) -> int:
-    sys.stdout.write(
-        f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  armwright serve {option}\n"
-    )
+    sys.stdout.write(f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  armwright serve {option}\n")
     sys.stdout.flush()
     try:
         status = rig.wait_for_end(None)

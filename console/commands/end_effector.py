@@ -55,9 +55,7 @@ def _gripper(client: ArmClient, given: argparse.Namespace) -> Answer:
     else:
         state = client.grip(given.action or "move", given.to, given.force)
     is_empty = given.must_hold and state["state"] != "GRIPPED"
-    return Answer(
-        state, [gripper_text(state)], is_empty or (state["state"] in STOPS and given.action != "stop")
-    )
+    return Answer(state, [gripper_text(state)], is_empty or (state["state"] in STOPS and given.action != "stop"))
 
 
 def gripper_text(state: Mapping[str, Any]) -> str:

@@ -131,11 +131,7 @@ def _whence(given: argparse.Namespace, arm: Arm) -> tuple[ArmClient | None, Sequ
             raise
         client, why = None, "no runtime answers"
     rest = "[rest]" if arm.rest else "joint angles 0"
-    return (
-        client,
-        None,
-        f"{rest}, because {why}: `run` plans from where the arm is then, and may choose other joint angles",
-    )
+    return (client, None, f"{rest}, because {why}: `run` plans from where the arm is then, and may choose other joint angles")
 
 
 def _require_clear(arm: Arm, path: PlannedPath, here_rad: Sequence[float]) -> None:
@@ -171,11 +167,7 @@ def _jog(given: argparse.Namespace) -> int:
     if (given.joint is None) == (given.axis is None):
         raise ArmError("jog: give either --joint or --axis")
     is_turn = given.axis is not None and given.axis.startswith("r")
-    step: dict[str, Any] = {
-        "axis": given.axis,
-        "by_rad" if is_turn else "by_m": given.by,
-        "frame": given.frame,
-    }
+    step: dict[str, Any] = {"axis": given.axis, "by_rad" if is_turn else "by_m": given.by, "frame": given.frame}
     speed = "speed_rad_s" if is_turn else "speed_m_s"
     if given.joint is not None:
         step, speed = {"joint": given.joint, "by_rad": given.by}, "speed_rad_s"
@@ -234,9 +226,7 @@ def _way_points(file: Path, has_orientation: bool) -> list[str]:
         raise ArmError(f"teach: {file}: not UTF-8 text (byte {error.start}): give another file") from None
     headers = (FULL_HEADER,) if has_orientation else (HEADER, FULL_HEADER)
     if lines and lines[0].strip() not in headers:
-        raise ArmError(
-            f"teach: {file}: expected the header {' or '.join(headers)}, got {lines[0][:80]!r}: give another file"
-        )
+        raise ArmError(f"teach: {file}: expected the header {' or '.join(headers)}, got {lines[0][:80]!r}: give another file")
     return lines or [wanted]
 
 

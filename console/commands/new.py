@@ -21,26 +21,8 @@ from procedures.new_arm.motors import stretched_arm
 
 NAME: Final = re.compile(r'^name = ".*?"', re.MULTILINE)
 PORT: Final = re.compile(r'^port = "(.*?)"', re.MULTILINE)
-ANSWERS: Final = (
-    "joints",
-    "axes",
-    "lengths",
-    "boards",
-    "gears",
-    "counts",
-    "encoders",
-    "ports",
-    "can",
-    "home",
-)
-NOT_LIKE: Final = (
-    *(answer for answer in ANSWERS if answer != "ports"),
-    "from_urdf",
-    "from_mjcf",
-    "base",
-    "tip",
-    "as_given",
-)
+ANSWERS: Final = ("joints", "axes", "lengths", "boards", "gears", "counts", "encoders", "ports", "can", "home")
+NOT_LIKE: Final = (*(answer for answer in ANSWERS if answer != "ports"), "from_urdf", "from_mjcf", "base", "tip", "as_given")
 
 
 class Terminal:
@@ -89,9 +71,7 @@ def run(given: argparse.Namespace) -> int:
     new = compose(serial, answers)
     source = given.from_urdf or given.from_mjcf
     origin = f"from {Path(source).name}" if source else "from the answers to `armwright new`"
-    arm = dataclasses.replace(
-        new.arm, as_given=bool(given.as_given), placeholders=("motors",) if model else ("masses", "motors")
-    )
+    arm = dataclasses.replace(new.arm, as_given=bool(given.as_given), placeholders=("motors",) if model else ("masses", "motors"))
     new = dataclasses.replace(new, arm=arm)
     text = commented_text(new, origin)
     _require_readable(text, out, new, source)
@@ -111,14 +91,9 @@ def _like(given: argparse.Namespace, out: Path) -> int:
     text, name = supplied_text(given.like), given.name or _name_of(out)
     ports = list(dict.fromkeys(PORT.findall(text)))
     if given.ports and len(given.ports) != len(ports):
-        raise ArmError(
-            f"--ports: expected {len(ports)}, as {given.like} has ({', '.join(ports)}), got {len(given.ports)}"
-        )
+        raise ArmError(f"--ports: expected {len(ports)}, as {given.like} has ({', '.join(ports)}), got {len(given.ports)}")
     new_port = dict(zip(ports, given.ports or ports, strict=True))
-    text = PORT.sub(
-        lambda found: _line("port", new_port[found[1]]),
-        NAME.sub(lambda _: _line("name", name), text, count=1),
-    )
+    text = PORT.sub(lambda found: _line("port", new_port[found[1]]), NAME.sub(lambda _: _line("name", name), text, count=1))
     arm = parse_arm(text, out)
     _write(out, text)
     sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {given.like}\n")

@@ -21,9 +21,7 @@ def warn(sentences: Iterable[str]) -> None:
     sys.stderr.writelines(f"armwright: warning: {sentence}\n" for sentence in sentences)
 
 
-def answer(
-    given: argparse.Namespace, content: object, text: str, files: Mapping[str, Path] | None = None
-) -> None:
+def answer(given: argparse.Namespace, content: object, text: str, files: Mapping[str, Path] | None = None) -> None:
     """Print a result: with --json `content` (a path is a file that holds it), else `text` and where the files are."""
     if given.json:
         from calib.results import json_text
@@ -62,9 +60,7 @@ class Bar:
             self._progress.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         if self._is_terminal:  # rich ends with an empty line otherwise
             self._progress.stop()
 

@@ -34,9 +34,7 @@ def run_export(given: argparse.Namespace) -> int:
     if given.fps is not None or given.task is not None:
         raise ArmError("--fps and --task are of a dataset: give --lerobot too")
     if len(given.recording) > 1:
-        raise ArmError(
-            f"expected one recording, got {len(given.recording)}: several make a dataset with --lerobot"
-        )
+        raise ArmError(f"expected one recording, got {len(given.recording)}: several make a dataset with --lerobot")
     recording, out = _existing(given.recording[0]), Path(given.out)
     written = _joined(recording, out, given) if recording.is_dir() else _exported(given, recording, out)
     for name in (name for name, rows in written.items() if not rows):
@@ -59,9 +57,7 @@ def _dataset(given: argparse.Namespace) -> int:
     if rate_Hz < 1:
         raise ArmError(f"--fps: expected 1 or more samples per second, got {rate_Hz}")
     if not (given.task or "").strip():
-        raise ArmError(
-            "--lerobot: say in words what the arm does, which policies may read: --task 'draw a square'"
-        )
+        raise ArmError("--lerobot: say in words what the arm does, which policies may read: --task 'draw a square'")
     recordings = [_existing(one) for one in given.recording]
     arm = load_arm(given.arm) if given.arm else None
     episodes, frames = write_dataset(_episodes(recordings, arm, rate_Hz), rate_Hz, given.task, out)
@@ -105,9 +101,7 @@ def _joined(folder: Path, out: Path, given: argparse.Namespace) -> dict[str, int
             return lambda row: bar.advance("export", begun + 0.5 * min(row / total, 1.0))
 
         rows = make_whole(files[0], lambda part: join(recordings, part, given.every, half(0.0)))
-        cycles = make_whole(
-            files[1], lambda part: cell_to_mcap(recordings, part, cell, given.every, half(0.5))
-        )
+        cycles = make_whole(files[1], lambda part: cell_to_mcap(recordings, part, cell, given.every, half(0.5)))
     return {FILE_NAME: rows, MCAP_NAME: cycles}
 
 
@@ -180,11 +174,7 @@ def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
         raise ArmError(f'--what: expected one or more of {", ".join(by_name)}, got "{text}"')
     for name in names:
         if not by_name[name].has(series):
-            needs = (
-                " (the arm is unknown: give it with --arm)"
-                if series.arm is None and series.cell is None
-                else ""
-            )
+            needs = " (the arm is unknown: give it with --arm)" if series.arm is None and series.cell is None else ""
             raise ArmError(f"--what {name}: {series.name} has no data for it{needs}")
     return [by_name[name] for name in dict.fromkeys(names)]
 
@@ -197,9 +187,7 @@ def _written(out: Path, pictures: Sequence[Picture], series: Series, joints: Seq
         return write_each(out, pictures, series, joints, bar.advance)
 
 
-def _say(
-    given: argparse.Namespace, series: Series, merit: Metrics, joints: Sequence[int], files: Sequence[Path]
-) -> None:
+def _say(given: argparse.Namespace, series: Series, merit: Metrics, joints: Sequence[int], files: Sequence[Path]) -> None:
     content = metrics_json(series, merit)
     content["joints"] = [joint for joint in content["joints"] if joint["joint"] in joints]
     written = [str(file) for file in files]

@@ -100,9 +100,7 @@ def _require_consent(given: argparse.Namespace, what: str) -> None:
     if given.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ArmError(
-            f"{given.command}: releases the arm, and there is no terminal to confirm it: give --yes"
-        )
+        raise ArmError(f"{given.command}: releases the arm, and there is no terminal to confirm it: give --yes")
     sys.stderr.write(f"{what} Is somebody holding the arm? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):

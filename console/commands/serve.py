@@ -46,11 +46,7 @@ def run_serve(given: argparse.Namespace) -> int:
         )
     if load > USUAL_LOAD:
         good_Hz = good_rate_Hz(arms, rate_Hz)
-        remedy = (
-            f"--rate {good_Hz:.0f}"
-            if good_Hz >= LOWEST_RATE_Hz
-            else "fewer boards, or rarer messages of theirs"
-        )
+        remedy = f"--rate {good_Hz:.0f}" if good_Hz >= LOWEST_RATE_Hz else "fewer boards, or rarer messages of theirs"
         sys.stderr.write(
             f"armwright: --rate {rate_Hz:g}: the boards need {100 * load:.0f} % of their CAN bus, good is up to"
             f" {100 * USUAL_LOAD:.0f} % ({remedy}): frames may come late, which is a fault\n"
@@ -65,9 +61,7 @@ def _cell(given: argparse.Namespace) -> Cell:
     for name in OF_ONE_ARM:
         if getattr(given, name) is not None:
             option = name.replace("_", "-")
-            raise ArmError(
-                f"--{option}: not together with --cell: ports and buses are in cell.toml and its arms' files"
-            )
+            raise ArmError(f"--{option}: not together with --cell: ports and buses are in cell.toml and its arms' files")
     return load_cell(given.cell)
 
 
@@ -107,9 +101,7 @@ def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
         if (found := encoder.identity) is not None
     ]
     motors = [
-        _entry(motor.where, who, "encoder_counts_per_turn")
-        for motor in connection.motors
-        if (who := motor.identity) is not None
+        _entry(motor.where, who, "encoder_counts_per_turn") for motor in connection.motors if (who := motor.identity) is not None
     ]
     others = [{"where": where, "identity": identity} for where, identity in connection.others]
     return {"encoder_boards": encoders, "motor_boards": motors, "boards": others}

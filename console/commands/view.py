@@ -118,9 +118,7 @@ def _play(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> None:
 
     rows = _rows(series, 1.0 / 60.0)
     scene = scene_of(shown)
-    sys.stdout.write(
-        "solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n"
-    )
+    sys.stdout.write("solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n")
     play(scene, series, rows, traces_of(series, scene.tips), given.speed, MonotonicClock(), open_window)
 
 
@@ -150,9 +148,7 @@ def _render(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> int
     return 0
 
 
-def _with_progress(
-    images: Iterator[tuple[float, Image]], count: int, bar: Bar
-) -> Iterator[tuple[float, Image]]:
+def _with_progress(images: Iterator[tuple[float, Image]], count: int, bar: Bar) -> Iterator[tuple[float, Image]]:
     for number, image in enumerate(images):
         bar.advance("render", number / count)
         yield image
@@ -225,9 +221,7 @@ def _picture(given: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, t
 def _file(text: str) -> Path | None:
     """The file of `--rerun FILE.rrd`, None for a viewer; a LOG after --rerun is not an output file."""
     if text and Path(text).suffix != ".rrd":
-        raise ArmError(
-            f"--rerun: expected FILE.rrd, got {text}; put a LOG before it: armwright view LOG --rerun"
-        )
+        raise ArmError(f"--rerun: expected FILE.rrd, got {text}; put a LOG before it: armwright view LOG --rerun")
     return Path(text) if text else None
 
 

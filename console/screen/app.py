@@ -49,9 +49,7 @@ class Desk:
         self.operator = ScreenOperator(self.link, grammar, words, self.say, files.lines)
         self.jogger = Jogger(arm, self.operator, self.say)
         dashboard = Dashboard(arm, self.operator, self.jogger)
-        self.operating = OperatingScreen(
-            dashboard, self.operator, self.jogger, files, open_session, has_others=others > 0
-        )
+        self.operating = OperatingScreen(dashboard, self.operator, self.jogger, files, open_session, has_others=others > 0)
 
     def say(self, text: str, is_error: bool = False) -> None:
         """Write a line to the log."""
@@ -67,11 +65,7 @@ class Desk:
         if status is None:
             await self.operating.let_go()
             self.jogger.run = None
-        elif (
-            self.jogger.run is not None
-            and self.jogger.run <= status["run"]
-            and status["mode"] not in ("JOGGING", "STOPPING")
-        ):
+        elif self.jogger.run is not None and self.jogger.run <= status["run"] and status["mode"] not in ("JOGGING", "STOPPING"):
             self.jogger.run = None
             if status["is_homed"] and status["mode"] == "HOLDING":
                 angles = " ".join(f"{q:.5f}" for q in status["joint_rad"])
@@ -183,8 +177,6 @@ class ConsoleApp(App[None]):
         if "--out" not in words[:-1]:
             self.say("session: expected --out FOLDER among its options", True)
             return
-        known = [
-            word for flag, value in self.desk.shared.items() if flag not in words for word in (flag, value)
-        ]
+        known = [word for flag, value in self.desk.shared.items() if flag not in words for word in (flag, value)]
         folder = Path(words[words.index("--out") + 1])
         self.push_screen(SessionScreen(shlex.join([*words, *known]), folder, self.desk.arm_name, self.say))

@@ -158,9 +158,7 @@ class Dashboard:
         self._drawn_s: dict[str, float] = {}
         self._view: tuple[object, ...] = ()
         joints = tuple(str(j + 1) for j in range(arm.joint_count))
-        self._plots: dict[
-            str, tuple[drawing.BinnedSeries, Callable[[drawing.BinnedSeries, int], drawing.Plot]]
-        ] = {
+        self._plots: dict[str, tuple[drawing.BinnedSeries, Callable[[drawing.BinnedSeries, int], drawing.Plot]]] = {
             "error": (self._history.error_mrad, functools.partial(_plot, joints, 1.0, True)),
             "current": (self._history.current_A, functools.partial(_plot, joints, 0.5, True)),
             "speed": (self._history.tip_mm_s, functools.partial(_plot, ("",), 10.0, False)),
@@ -172,9 +170,7 @@ class Dashboard:
         yield drawing.Panel("side", "Side: x, z m")
         yield drawing.Panel("top", "Top: x, y m")
         yield drawing.Panel("error", f"Error mrad, limit {1e3 * self._arm.limits.following_error_rad:g}")
-        yield drawing.Panel(
-            "current", f"Current A, limit {max(d.current_limit_A for d in self._arm.drives):g}"
-        )
+        yield drawing.Panel("current", f"Current A, limit {max(d.current_limit_A for d in self._arm.drives):g}")
         yield drawing.Panel("speed", "Tip speed mm/s")
         yield drawing.Panel("late", "Loop lateness p99 us")
 
@@ -219,11 +215,7 @@ class Dashboard:
     def _jog_row(self) -> drawing.Row:
         command = self._operator.running.partition(" ")[0]
         running = drawing.row(("  running: ", "muted"), command) if command else ()
-        return (
-            *self._jogger.describe(),
-            *drawing.row(("  override ", "muted"), f"{100 * self.override:g} %"),
-            *running,
-        )
+        return (*self._jogger.describe(), *drawing.row(("  override ", "muted"), f"{100 * self.override:g} %"), *running)
 
     def _views(self, status: Status, room: PanelSize) -> Iterator[Drawn]:
         is_stale = [age is not None for age in texts.stale_s(status)]
@@ -244,13 +236,8 @@ class Dashboard:
     def _drawn_plots(self, room: PanelSize) -> Iterator[Drawn]:
         for name, (series, plot) in self._plots.items():
             if room(name)[0]:
-                yield (
-                    name,
-                    drawing.plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name)),
-                )
+                yield (name, drawing.plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name)))
 
 
-def _plot(
-    signs: Sequence[str], least: float, is_signed: bool, series: drawing.BinnedSeries, chosen: int
-) -> drawing.Plot:
+def _plot(signs: Sequence[str], least: float, is_signed: bool, series: drawing.BinnedSeries, chosen: int) -> drawing.Plot:
     return drawing.Plot(series.bins, signs, chosen if len(signs) > 1 else 0, least, is_signed)

@@ -54,18 +54,7 @@ THEME = Theme(
 
 Span = tuple[str, str]  # text, style
 Row = tuple[Span, ...]
-LOOKS = (
-    "plain",
-    "strong",
-    "muted",
-    "accent",
-    "chosen",
-    "badge",
-    "warning",
-    "warning-badge",
-    "error",
-    "error-badge",
-)
+LOOKS = ("plain", "strong", "muted", "accent", "chosen", "badge", "warning", "warning-badge", "error", "error-badge")
 
 
 def row(*parts: Span | str) -> Row:
@@ -158,10 +147,39 @@ class Canvas:
 _PLAIN_TERMS = ("linux", "ansi", "vt100", "vt102", "vt220", "dumb")  # no braille in their fonts
 _BY_DOTS = " .:-+*oO#"  # a braille character by its number of dots
 _SIGNS = {
-    "−": "-", "·": ".", "●": "o", "■": "#", "◆": "*", "▸": ">", "↻": "~", "→": ">", "←": "<", "°": " ", "±": "+",
-    "│": "|", "┃": "|", "─": "-", "━": "-", "╺": "-", "╸": "-", "▁": "_", "▔": "-", "▕": "|", "▏": "|",
-    "┤": "+", "├": "+", "└": "+", "┼": "+", "╭": "+", "╮": "+", "╰": "+", "╯": "+", "┌": "+", "┐": "+", "┘": "+",
-}  # fmt: skip
+    "−": "-",
+    "·": ".",
+    "●": "o",
+    "■": "#",
+    "◆": "*",
+    "▸": ">",
+    "↻": "~",
+    "→": ">",
+    "←": "<",
+    "°": " ",
+    "±": "+",
+    "│": "|",
+    "┃": "|",
+    "─": "-",
+    "━": "-",
+    "╺": "-",
+    "╸": "-",
+    "▁": "_",
+    "▔": "-",
+    "▕": "|",
+    "▏": "|",
+    "┤": "+",
+    "├": "+",
+    "└": "+",
+    "┼": "+",
+    "╭": "+",
+    "╮": "+",
+    "╰": "+",
+    "╯": "+",
+    "┌": "+",
+    "┐": "+",
+    "┘": "+",
+}
 _TABLE = str.maketrans(_SIGNS | {chr(0x2800 + cell): _BY_DOTS[cell.bit_count()] for cell in range(256)})
 
 
@@ -206,9 +224,7 @@ class BinnedSeries:
         """Add values to the latest bin."""
         last = self.bins[-1]
         known = [value if math.isfinite(value) else 0.0 for value in values]
-        self.bins[-1] = (
-            known if last is None else [max(pair, key=abs) for pair in zip(known, last, strict=True)]
-        )
+        self.bins[-1] = known if last is None else [max(pair, key=abs) for pair in zip(known, last, strict=True)]
 
     def newest(self) -> list[float]:
         """The latest bin that is not empty."""
@@ -302,9 +318,7 @@ def _draw_lines(canvas: Canvas, plot: Plot, bottom: float, top: float) -> None:
             _draw_signs(canvas, [dot for dot in dots if dot], plot.signs[j], j, len(plot.signs), look)
 
 
-def _draw_signs(
-    canvas: Canvas, dots: Sequence[tuple[int, int]], sign: str, j: int, count: int, look: str
-) -> None:
+def _draw_signs(canvas: Canvas, dots: Sequence[tuple[int, int]], sign: str, j: int, count: int, look: str) -> None:
     """Draw a line's sign every few columns, in different columns for each line, so that coincident lines show theirs."""
     by_column = {x // 2: y // 4 for x, y in dots}
     for column, at_row in by_column.items():
@@ -321,9 +335,7 @@ def _time_axis(columns: int) -> str:
     room = columns - GUTTER
     centre = max((room - len(middle)) // 2 - len(start), 1)
     text = start + " " * centre + middle
-    return " " * GUTTER + (
-        text + end.rjust(room - len(text)) if room > len(text) + 4 else start + end.rjust(room - len(start))
-    )
+    return " " * GUTTER + (text + end.rjust(room - len(text)) if room > len(text) + 4 else start + end.rjust(room - len(start)))
 
 
 # Draws the arm in characters, from the side and from above: links, numbered joints, the base frame's axes,
@@ -419,9 +431,7 @@ def _placed(
     return place, scale
 
 
-def _draw_axes(
-    canvas: Canvas, place: Callable[[Point], tuple[int, int]], dots_m: float, axes: tuple[int, int]
-) -> None:
+def _draw_axes(canvas: Canvas, place: Callable[[Point], tuple[int, int]], dots_m: float, axes: tuple[int, int]) -> None:
     """The base frame's axes across the picture, with ticks in metres; the side view's x axis is the ground."""
     x0, y0 = place((0.0, 0.0, 0.0))
     is_side = axes == SIDE
@@ -461,13 +471,7 @@ def _outline(arm: Arm) -> list[Point]:
     if not cavities:
         return []
     xs, ys = [c[0] for c in cavities.values()], [c[1] for c in cavities.values()]
-    edge = (
-        (min(xs), min(ys)),
-        (max(xs), min(ys)),
-        (max(xs), max(ys)),
-        (min(xs), max(ys)),
-        (min(xs), min(ys)),
-    )
+    edge = ((min(xs), min(ys)), (max(xs), min(ys)), (max(xs), max(ys)), (min(xs), max(ys)), (min(xs), min(ys)))
     return [tables.to_base(arm.table, "normal", (x, y, 0.0)) for x, y in edge]
 
 

@@ -20,13 +20,8 @@ class Jogger:
     """Converts key presses and held buttons to jogs and steps."""
 
     def __init__(self, arm: Arm, operator: ScreenOperator, say: Callable[[str, bool], None]) -> None:
-        self.targets = [
-            *(JogTarget(j + 1, None) for j in range(arm.joint_count)),
-            *(JogTarget(None, axis) for axis in "xyz"),
-        ]
-        self.turns = [
-            JogTarget(None, f"r{axis}") for axis in "xyz"
-        ]  # by keys alone: 80 columns have no room for more buttons
+        self.targets = [*(JogTarget(j + 1, None) for j in range(arm.joint_count)), *(JogTarget(None, axis) for axis in "xyz")]
+        self.turns = [JogTarget(None, f"r{axis}") for axis in "xyz"]  # by keys alone: 80 columns have no room for more buttons
         self.of_tip = False
         self.selected = self.targets[0]
         self.speed = 0.2
@@ -42,11 +37,7 @@ class Jogger:
 
     def describe(self) -> Row:
         """Describe what the arrow keys do."""
-        size = (
-            f"{STEPS_rad[self._step_at]:g} rad"
-            if self.selected.is_angle
-            else f"{1e3 * STEPS_m[self._step_at]:g} mm"
-        )
+        size = f"{STEPS_rad[self._step_at]:g} rad" if self.selected.is_angle else f"{1e3 * STEPS_m[self._step_at]:g} mm"
         how = f" step {size}" if self.is_stepping else " hold the key"
         of_tip = " of the tip" if self.of_tip and self.selected.joint is None else ""
         return row((self.selected.name, "chosen"), f"{of_tip}{how}, {100 * self.speed:g} %")

@@ -95,13 +95,9 @@ class RuntimeLink:
 
     async def _session(self) -> None:
         try:
-            reader, self._writer = await asyncio.open_unix_connection(
-                str(self.path), limit=_LONGEST_LINE_bytes
-            )
+            reader, self._writer = await asyncio.open_unix_connection(str(self.path), limit=_LONGEST_LINE_bytes)
         except OSError as error:
-            raise RuntimeLost(
-                f"no runtime at {self.path} ({error.strerror or error}); `armwright serve` starts one"
-            ) from None
+            raise RuntimeLost(f"no runtime at {self.path} ({error.strerror or error}); `armwright serve` starts one") from None
         try:
             require_own_runtime(self._writer.get_extra_info("socket"), self.path)
         except ForeignRuntime as error:
@@ -271,9 +267,7 @@ class ScreenOperator:
     def step(self, target: JogTarget, by: float, speed: float) -> None:
         """Jog one step, renewed until it has ended; only one at a time."""
         if self._stepping is None or self._stepping.done():
-            self._stepping = asyncio.create_task(
-                self._step(_step_of(target, by, speed), _step_line(target, by, speed))
-            )
+            self._stepping = asyncio.create_task(self._step(_step_of(target, by, speed), _step_line(target, by, speed)))
 
     async def _step(self, request: Message, text: str) -> None:
         answer = await self._asked("jog", **request)
@@ -326,9 +320,7 @@ class ScreenOperator:
         self.running = ""
         if status == 0:
             self.record(line.text)
-        self._say(
-            f"  {line.command}: {'done' if status == 0 else f'ended with status {status}'}", status != 0
-        )
+        self._say(f"  {line.command}: {'done' if status == 0 else f'ended with status {status}'}", status != 0)
 
     async def wait(self) -> None:
         """Wait until the line's process and the step have ended."""
@@ -370,9 +362,7 @@ def _frame(target: JogTarget) -> Message:
 
 def _step_of(target: JogTarget, by: float, speed: float) -> Message:
     unit = "rad" if target.is_angle else "m"
-    what: Message = (
-        {"axis": target.axis, **_frame(target)} if target.joint is None else {"joint": target.joint}
-    )
+    what: Message = {"axis": target.axis, **_frame(target)} if target.joint is None else {"joint": target.joint}
     return {**what, f"by_{unit}": by, **({f"speed_{unit}_s": speed} if speed else {})}
 
 

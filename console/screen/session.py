@@ -74,9 +74,7 @@ class SessionScreen(Screen[None]):
         if not self.is_attached:
             return
         if status != 0:
-            self._wait_for(
-                "resume", f"The session ended with status {status}; all records are saved. Enter resumes it."
-            )
+            self._wait_for("resume", f"The session ended with status {status}; all records are saved. Enter resumes it.")
         elif (self._folder / "points.csv").exists():
             self._wait_for("calibrate", "Enter calibrates with these points, escape goes back.")
 
@@ -124,15 +122,11 @@ class SessionScreen(Screen[None]):
         elif "recorded" in message:
             self._write(*record_text(message))
         elif not str(message.get("message", "")).endswith(" >"):
-            self._write(
-                str(message.get("message", line)), "warning" if message.get("is_warning") else "plain"
-            )
+            self._write(str(message.get("message", line)), "warning" if message.get("is_warning") else "plain")
 
     def _asked(self, message: Mapping[str, Any]) -> None:
         total = message["done"] + message["left"]
-        counted = row(
-            (f" {message['done']} of {total} ", "badge"), f"  recorded, {message['left']} left   setup "
-        )
+        counted = row((f" {message['done']} of {total} ", "badge"), f"  recorded, {message['left']} left   setup ")
         self._put("session_head", [(*counted, (message["setup"], "strong"), (f"   {self._folder}", "muted"))])
         self._board = message["board"]
         self._draw_board()
@@ -173,9 +167,7 @@ class SessionScreen(Screen[None]):
         answer = event.value
         if self._rest:
             self._answered(answer.lower())
-        elif (
-            self._process is not None and self._process.stdin is not None and self._process.returncode is None
-        ):
+        elif self._process is not None and self._process.stdin is not None and self._process.returncode is None:
             self._process.stdin.write(f"{answer}\n".encode())
             await self._process.stdin.drain()
 
@@ -219,14 +211,7 @@ SIGNS: Mapping[str, Span] = {
     "skipped": ("-", "warning"),
     "bad": ("x", "error"),
 }
-MEANINGS = {
-    "done": "done",
-    "partly": "some repeats",
-    "now": "now",
-    "left": "left",
-    "skipped": "skipped",
-    "bad": "bad",
-}
+MEANINGS = {"done": "done", "partly": "some repeats", "now": "now", "left": "left", "skipped": "skipped", "bad": "bad"}
 ODD = 3.0  # standard deviations: a warning; the session itself decides what is suspect
 HEADING = f"{'point':<12}{'model mm':>9}{'others mm':>11}{'in sd':>7}"
 
@@ -269,7 +254,4 @@ def record_text(message: Mapping[str, Any]) -> Span:
     text = f"{message['recorded']:<12}" + (f"{error_mm:9.2f}" if error_mm is not None else f"{'-':>9}")
     if sd is None or deviation_mm is None:
         return text, "plain"
-    return (
-        f"{text}{deviation_mm:11.2f}{sd:7.1f}{' ~' if sd > ODD else ''}",
-        "warning" if sd > ODD else "plain",
-    )
+    return (f"{text}{deviation_mm:11.2f}{sd:7.1f}{' ~' if sd > ODD else ''}", "warning" if sd > ODD else "plain")

@@ -66,11 +66,7 @@ def _others(status: Message) -> Row:
     """The modes of the other arms of the cell."""
     cell = status.get("cell")
     others = cell["arms"].items() if cell else ()
-    return tuple(
-        (f"  {name} {mode}", "error" if mode == "FAULT" else "plain")
-        for name, mode in others
-        if name != status["arm"]
-    )
+    return tuple((f"  {name} {mode}", "error" if mode == "FAULT" else "plain") for name, mode in others if name != status["arm"])
 
 
 def _bus(status: Message, arm: Arm) -> tuple[str, ...]:
@@ -139,11 +135,7 @@ def status_rows(status: Message | None, why_lost: str, width: int) -> list[Row]:
     if status is None:
         return [
             *wrapped(f"The link to the runtime is lost: {why_lost}.", "error", width, "! "),
-            *wrapped(
-                "The runtime stops the motion of this console. The link is tried twice a second.",
-                "plain",
-                width,
-            ),
+            *wrapped("The runtime stops the motion of this console. The link is tried twice a second.", "plain", width),
         ]
     rows: list[Row] = []
     for fault in status["faults"]:
@@ -162,9 +154,7 @@ def status_rows(status: Message | None, why_lost: str, width: int) -> list[Row]:
 def _joint_name(j: int, selected: str, age_s: float | None) -> Row:
     name = f"J{j + 1}"
     look = "chosen" if name == selected else "strong"
-    return row(
-        (f"{'▸' if name == selected else ' '}{name}", look), ("?" if age_s is not None else " ", "warning")
-    )
+    return row((f"{'▸' if name == selected else ' '}{name}", look), ("?" if age_s is not None else " ", "warning"))
 
 
 def _drive_state(state: str, age_s: float | None) -> Span:

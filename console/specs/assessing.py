@@ -29,9 +29,7 @@ ASSESSING = (
             OUT,
             JSON,
             option("--points P", "use recorded poses with measured tips, or lengths; nothing moves"),
-            option(
-                "--free", "place the frame of the points' tips where each model fits best", choices=("base",)
-            ),
+            option("--free", "place the frame of the points' tips where each model fits best", choices=("base",)),
             option("--fix", "base: the points' tips are in the arm's base frame", choices=("base",)),
             AS_GIVEN,
             WIRE_AT,
@@ -47,9 +45,7 @@ ASSESSING = (
             ),
             option("--repeats K", "visits at each point (default: 3)", type=int, default=3),
             option("--height M", "height above the board in m (default: 0.07)", type=finite, default=0.07),
-            option(
-                "--path-speed M_S", "speed of the trajectories (default: 0.15)", type=finite, default=0.15
-            ),
+            option("--path-speed M_S", "speed of the trajectories (default: 0.15)", type=finite, default=0.15),
         ),
         "The arm must be homed and holding. The tip moves above the board with each model, and the camera measures."
         " Exit status 1 if the calibrated arm is significantly worse, or every point was used for the calibration.",
@@ -85,12 +81,8 @@ ASSESSING = (
         "show what drifts between calibrations, how fast, and when the next one is due",
         (
             ARM,
-            option(
-                "--history FILE", "the record that `--history` of `calibrate` and `gap` writes", required=True
-            ),
-            option(
-                "--tolerance LENGTH", "largest drift of the tip, e.g. 0.5mm: when the next calibration is due"
-            ),
+            option("--history FILE", "the record that `--history` of `calibrate` and `gap` writes", required=True),
+            option("--tolerance LENGTH", "largest drift of the tip, e.g. 0.5mm: when the next calibration is due"),
             JSON,
         ),
         "Nothing moves. docs/trend.md.",
@@ -101,9 +93,7 @@ ASSESSING = (
         "predict the tip's error over the workspace, from an arm's points or a design's tolerances",
         (
             ARM,
-            points(
-                "points.csv or .csv.gz of the real arm; with --design: only their poses, as those of the calibration"
-            ),
+            points("points.csv or .csv.gz of the real arm; with --design: only their poses, as those of the calibration"),
             AS_GIVEN,
             OUT,
             option("--tolerance LENGTH", "the accuracy that is wanted, e.g. 0.5mm"),
@@ -117,9 +107,7 @@ ASSESSING = (
                 "points.csv of `armwright iso9283`: its pose accuracy and repeatability, predicted beside measured",
                 action="append",
             ),
-            payload(
-                "mass at the tip that the map is made for (default: 0); may be repeated", action="append"
-            ),
+            payload("mass at the tip that the map is made for (default: 0); may be repeated", action="append"),
             BOARDS,
             option("--design A", "arm.toml of an arm to be built, instead of --arm"),
             option("--tolerances T", "with --design: tolerances of the parts; a file, or `right`"),
@@ -140,11 +128,7 @@ ASSESSING = (
             option("--points P", "evaluate recorded poses: points.csv with P1 to P5"),
             AS_GIVEN,
             option("--log L", "with --points: recorded runs, log.csv; may be repeated", action="append"),
-            option(
-                "--other P",
-                "points.csv of another arm, for exchangeability; may be repeated",
-                action="append",
-            ),
+            option("--other P", "points.csv of another arm, for exchangeability; may be repeated", action="append"),
             option("--programme FILE", "programme.json of the recording (default: beside the points)"),
             option("--record", "run the test programmes on the connected arm"),
             option("--mock", "run the test programmes on a mock arm in this process"),
@@ -156,16 +140,9 @@ ASSESSING = (
             option("--quick", "fewer repeats: 5 of each pose, 3 of each path"),
             option("--repeats N", "visits of each pose (default: 30)", type=int),
             option("--path-cycles N", "runs of each path (default: 10)", type=int),
+            option("--speeds SHARE", "path speeds as fractions of the rated speed (default: 0.1 0.5 1)", type=finite, nargs="+"),
             option(
-                "--speeds SHARE",
-                "path speeds as fractions of the rated speed (default: 0.1 0.5 1)",
-                type=finite,
-                nargs="+",
-            ),
-            option(
-                "--rated-speed M_S",
-                "rated path speed (default: the fastest for the test line without slowdown)",
-                type=finite,
+                "--rated-speed M_S", "rated path speed (default: the fastest for the test line without slowdown)", type=finite
             ),
             option(
                 "--rated-load-kg KG",
@@ -174,16 +151,12 @@ ASSESSING = (
             ),
             option("--drift-s S", "duration of the drift test (default: 600)", type=finite),
             option(
-                "--programmes NAME",
-                "only these: pose directions distance drift path cornering posing load weaving",
-                nargs="+",
+                "--programmes NAME", "only these: pose directions distance drift path cornering posing load weaving", nargs="+"
             ),
             option("--cube-centre X Y Z", "centre of the test cube in m", type=finite, nargs=3),
             option("--cube-edge M", "edge of the test cube (default: the largest within reach)", type=finite),
             option(
-                "--speed F",
-                "speed of joint moves as a fraction of the joints' limits (default: 0.5; with --mock 1)",
-                type=finite,
+                "--speed F", "speed of joint moves as a fraction of the joints' limits (default: 0.5; with --mock 1)", type=finite
             ),
             option(
                 "--band-m M",

@@ -43,10 +43,7 @@ CALIBRATING = (
                 "e2: sum of distances, the paper's (default); e1: sum of absolute coordinates; lsq: least squares; huber",
                 default="e2",
             ),
-            option(
-                "--huber-threshold LENGTH",
-                "distance above which huber is linear, e.g. 0.3mm (default: from the noise)",
-            ),
+            option("--huber-threshold LENGTH", "distance above which huber is linear, e.g. 0.3mm (default: from the noise)"),
             BOUND,
             option(
                 "--fix NAMES",
@@ -70,15 +67,8 @@ CALIBRATING = (
             ),
             BOARDS,
             option("--accuracy LENGTH", "required mean error (a in E <= k a); warns if it cannot be met"),
-            option(
-                "--without POSE",
-                "omit SETUP, SETUP:POINT or SETUP:POINT:REPEAT; may be repeated",
-                action="append",
-            ),
-            option(
-                "--leave-out WHAT",
-                "held-out part: setups, or k for every k-th point (default: setups if there are several)",
-            ),
+            option("--without POSE", "omit SETUP, SETUP:POINT or SETUP:POINT:REPEAT; may be repeated", action="append"),
+            option("--leave-out WHAT", "held-out part: setups, or k for every k-th point (default: setups if there are several)"),
             option("--export FORMS", "also write urdf, mjcf or json", action="append"),
             option("--starts N", "number of random starts (default: 4)", type=int, default=4),
             option("--seed N", "seed of the random starts (default: 0)", type=int, default=0),
@@ -104,16 +94,8 @@ CALIBRATING = (
                 required=True,
             ),
             out_unless("--choose"),
-            option(
-                "--objective NAME",
-                "huber (default), e2, lsq or e1, as for `armwright calibrate`",
-                default="huber",
-            ),
-            option(
-                "--bound NAME=VALUE",
-                "largest deviations: lengths=5mm, angles=2deg (the defaults)",
-                action="append",
-            ),
+            option("--objective NAME", "huber (default), e2, lsq or e1, as for `armwright calibrate`", default="huber"),
+            option("--bound NAME=VALUE", "largest deviations: lengths=5mm, angles=2deg (the defaults)", action="append"),
             option("--fix NAMES", "parameters to keep fixed: left_theta4,right_L2", action="append"),
             option("--free-tool ARMS", "arms whose tip is identified too: left,right", action="append"),
             option(
@@ -134,11 +116,7 @@ CALIBRATING = (
             option("--cell C", "a cell.toml, or the name of a supplied cell (default: pair)", default="pair"),
             option("--arms A B", "two arms of a cell that has more", nargs=2),
             option("--count N", "how many contacts (default: 40)", type=int, default=40),
-            option(
-                "--distance LENGTH",
-                "between the tips, in turns: 0mm is one place, 100mm a bar (default: 0mm)",
-                nargs="+",
-            ),
+            option("--distance LENGTH", "between the tips, in turns: 0mm is one place, 100mm a bar (default: 0mm)", nargs="+"),
             option("--out FILE", "write them as contacts.csv, the most valuable first"),
         ),
         "Nothing moves. Contacts are within reach of both arms, and clear of each other by clearance_m and 30 mm.",
@@ -149,11 +127,7 @@ CALIBRATING = (
         "identify the arm from lengths: draw wires, dial gauges, ball bars, distances between two poses of the tip",
         (
             ARM,
-            option(
-                "--points P",
-                "points.csv with the columns distance_of and distance_m (docs/distances.md)",
-                required=True,
-            ),
+            option("--points P", "points.csv with the columns distance_of and distance_m (docs/distances.md)", required=True),
             OUT,
             option(
                 "--objective",
@@ -175,9 +149,7 @@ CALIBRATING = (
         "import-points",
         "points.csv of a table that another program wrote: any separator, decimal mark, encoding, unit and column names",
         (
-            option(
-                "file FILE", "text with a header line: a row for each pose, joint angles and measured tip"
-            ),
+            option("file FILE", "text with a header line: a row for each pose, joint angles and measured tip"),
             ARM,
             option("--columns OURS=THEIRS", 'what the header does not tell: q1_rad="Axis A"', nargs="+"),
             option("--angles UNIT", "rad or deg (default: as the header says)"),
@@ -224,23 +196,14 @@ CALIBRATING = (
             option("--tag N", "a single AprilTag or ArUco tag by its number", type=int),
             option("--size LENGTH", "edge of the tag's black square, e.g. 50mm"),
             option("--tags FILE", "tags.csv: several tags of one body (docs/webcam.md)"),
-            option(
-                "--dictionary NAME",
-                "OpenCV's name of the markers (default: 4x4_250 for boards, apriltag_36h11 for tags)",
-            ),
+            option("--dictionary NAME", "OpenCV's name of the markers (default: 4x4_250 for boards, apriltag_36h11 for tags)"),
             option("--legacy", "the board was printed by OpenCV before 4.6"),
             option("--camera FILE", "poses: camera.json; one for each camera", action="append"),
             option("--points P", "poses: points.csv with the joint angles of each picture"),
             option(
-                "--readout-s S",
-                "calibrate: time from the first to the last row of a rolling shutter (default: 0)",
-                type=finite,
+                "--readout-s S", "calibrate: time from the first to the last row of a rolling shutter (default: 0)", type=finite
             ),
-            option(
-                "--tip-speed M_S",
-                "poses: the fastest that the target may have moved in a picture (default: 0)",
-                type=finite,
-            ),
+            option("--tip-speed M_S", "poses: the fastest that the target may have moved in a picture (default: 0)", type=finite),
             OUT,
             JSON,
         ),
@@ -278,10 +241,7 @@ GAP = (
             option("--minutes M", "with --record: as much as fits in this time", type=finite),
             payload("mass attached to the tip for part of the recording (default: none; mock: 0.5)"),
             option("--only", "with --record: poses only, or motions only", choices=("static", "motion")),
-            option(
-                "--plan-only",
-                "with --record: print the plan and the effects that it can reveal; nothing moves",
-            ),
+            option("--plan-only", "with --record: print the plan and the effects that it can reveal; nothing moves"),
             option("--record-only", "with --record: do not analyse yet"),
             SOCKET,
         ),

@@ -7,14 +7,9 @@ MODEL = (
     option("--from-mjcf F", "the same from MuJoCo's format"),
     option("--base LINK", "first link of the arm in the model (default: its root)"),
     option("--tip LINK", "last link of the arm in the model (default: its only end)"),
+    option("--as-given", "the model means what it says: do not refuse it for what it looks like, such as grams"),
     option(
-        "--as-given", "the model means what it says: do not refuse it for what it looks like, such as grams"
-    ),
-    option(
-        "--convention",
-        "DH convention of the new file (default: standard)",
-        choices=("standard", "modified"),
-        default="standard",
+        "--convention", "DH convention of the new file (default: standard)", choices=("standard", "modified"), default="standard"
     ),
 )
 
@@ -34,8 +29,7 @@ FILES = (
             option("--every K", "keep every k-th cycle (default: 1)", type=int, default=1),
             option("--arm A", "the arm for Foxglove's 3-D panel (default: the recorded one)"),
             option(
-                "--lerobot",
-                "write a LeRobot dataset instead, an episode per run; needs the extra `lerobot` (docs/extras.md)",
+                "--lerobot", "write a LeRobot dataset instead, an episode per run; needs the extra `lerobot` (docs/extras.md)"
             ),
             option("--fps N", "samples per second of the dataset (default: 50)", type=int),
             option("--task TEXT", "what the arm does in the dataset, in words"),
@@ -101,13 +95,9 @@ VISUALISATION = (
         "plot a recording: tracking, errors, currents, spectra, tip, cycle timing",
         (
             option("log LOG", LOG_HELP),
+            option("--out DIR|FILE", "folder for PNG files, or one file.png, .svg or .pdf for all (default: out/plot)"),
             option(
-                "--out DIR|FILE",
-                "folder for PNG files, or one file.png, .svg or .pdf for all (default: out/plot)",
-            ),
-            option(
-                "--what W,...",
-                "tracking, errors, currents, voltages, supply, spectra, tip, lateness (default: all available)",
+                "--what W,...", "tracking, errors, currents, voltages, supply, spectra, tip, lateness (default: all available)"
             ),
             option("--joints J,...", "joint numbers: 1,3 (default: all)"),
             option("--run N", "one run by number or name (default: all)"),
@@ -134,8 +124,7 @@ VISUALISATION = (
             option("--from S", "start time in s", dest="from_s", type=finite),
             option("--to S", "end time in s", dest="to_s", type=finite),
             option(
-                "--render FILE|DIR",
-                "write FILE.png of the last sample, FILE.gif, or a folder of PNG files; needs no display",
+                "--render FILE|DIR", "write FILE.png of the last sample, FILE.gif, or a folder of PNG files; needs no display"
             ),
             option("--fps N", "frames per second of --render (default: 25)", type=finite, default=25.0),
             option(

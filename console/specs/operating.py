@@ -8,24 +8,11 @@ OPERATING = (
     CommandSpec(
         "serve",
         "run the arm: connect its boards and serve the local socket until stopped",
-        (
-            ARM,
-            CELL,
-            *LINKS,
-            RATE,
-            SOCKET,
-            option("--log DIR", "folder of the recordings (default: log)", default="log"),
-        ),
-        (
-            "Drives stay off until `armwright enable`. Ctrl-C stops the arm, holds it, lowers it on shorted windings and"
-            " exits."
-        ),
+        (ARM, CELL, *LINKS, RATE, SOCKET, option("--log DIR", "folder of the recordings (default: log)", default="log")),
+        ("Drives stay off until `armwright enable`. Ctrl-C stops the arm, holds it, lowers it on shorted windings and exits."),
     ),
     CommandSpec(
-        "check",
-        "find the boards in arm.toml and compare their identities; nothing moves",
-        (ARM, *LINKS, JSON),
-        module="serve",
+        "check", "find the boards in arm.toml and compare their identities; nothing moves", (ARM, *LINKS, JSON), module="serve"
     ),
     CommandSpec(
         "console",
@@ -89,18 +76,10 @@ OPERATING = (
             option("file FILE", "CSV with x_m,y_m,z_m and optionally qw,qx,qy,qz and speed_m_s"),
             option("--speed M_S", "one speed for all way-points, in m/s", type=finite),
             option(
-                "--relative-to ARM",
-                "way-points are offsets from this arm's tip, where it holds now, along the axes of the cell",
+                "--relative-to ARM", "way-points are offsets from this arm's tip, where it holds now, along the axes of the cell"
             ),
-            option(
-                "--cell C",
-                "with --relative-to: the cell.toml that `serve` runs (default: pair)",
-                default="pair",
-            ),
-            option(
-                "--plan-only",
-                "check and print the plan from where the arm is; without a runtime from [rest], and says so",
-            ),
+            option("--cell C", "with --relative-to: the cell.toml that `serve` runs (default: pair)", default="pair"),
+            option("--plan-only", "check and print the plan from where the arm is; without a runtime from [rest], and says so"),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
         module="moving",
@@ -141,12 +120,7 @@ OPERATING = (
             SOCKET,
             option("file FILE", "a recording (.armlog) in which the arm was guided by hand"),
             option("--run N", "its run (default: the last one guided by hand)", type=int),
-            option(
-                "--speed F",
-                "fraction of the limits that the motion may use (default: 1)",
-                type=finite,
-                default=1.0,
-            ),
+            option("--speed F", "fraction of the limits that the motion may use (default: 1)", type=finite, default=1.0),
             option("--plan-only", "check and print the plan; needs no runtime"),
         ),
         "It takes longer where the hand was faster than the limits.",
@@ -161,9 +135,7 @@ OPERATING = (
             option("--joint J", "a joint, from 1", type=int),
             option("--axis", "along an axis; with r, about it", choices=("x", "y", "z", "rx", "ry", "rz")),
             option("--frame", "whose axis (default: base)", choices=("base", "tip"), default="base"),
-            option(
-                "--by STEP", "rad for a joint or about an axis, m along an axis", type=finite, required=True
-            ),
+            option("--by STEP", "rad for a joint or about an axis, m along an axis", type=finite, required=True),
             option("--speed V", "rad/s or m/s (default: the limit for jogging)", type=finite),
         ),
         "The arm stops at once if the command is interrupted. Exit status 1 if the step could not be completed.",
@@ -204,8 +176,7 @@ OPERATING = (
             SOCKET,
             option("--take", "end another client's control, too: for one that hangs"),
         ),
-        "Needs no valid file: if --arm cannot be read, all arms stop. Exit status 1 if a runtime does not answer or"
-        " none runs.",
+        "Needs no valid file: if --arm cannot be read, all arms stop. Exit status 1 if a runtime does not answer or none runs.",
     ),
     CommandSpec(
         "guide",
@@ -213,10 +184,7 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option(
-                "--weightless",
-                "gravity compensation by the drives; only as good as the masses and the payload are known",
-            ),
+            option("--weightless", "gravity compensation by the drives; only as good as the masses and the payload are known"),
             option("--yes", "do not ask: somebody holds the arm"),
         ),
         "Asks before it releases the arm. Stays until Enter, or until `armwright hold` or `stop` ends it from elsewhere; Ctrl-C"
@@ -241,9 +209,7 @@ OPERATING = (
 
 
 CELL_OF_CLIENT = option(
-    "--cell C",
-    "the cell.toml that `serve` runs, or the name of a supplied cell (default: pair)",
-    default="pair",
+    "--cell C", "the cell.toml that `serve` runs, or the name of a supplied cell (default: pair)", default="pair"
 )
 CELLS = (
     CommandSpec(
@@ -251,27 +217,15 @@ CELLS = (
         "motions of several arms that begin and end together",
         (
             CELL_OF_CLIENT,
-            option(
-                "--to ARM RAD",
-                "joint angles of an arm in rad, as --to left 0.6 0.1 0.7",
-                action="append",
-                nargs="+",
-            ),
-            option(
-                "--run ARM FILE", "way-points of an arm, as for `armwright run`", action="append", nargs=2
-            ),
+            option("--to ARM RAD", "joint angles of an arm in rad, as --to left 0.6 0.1 0.7", action="append", nargs="+"),
+            option("--run ARM FILE", "way-points of an arm, as for `armwright run`", action="append", nargs=2),
             option(
                 "--beside ARM OTHER FILE",
                 "way-points of an arm from where OTHER's tip is at that moment; `keep` as FILE: as the tips are now",
                 action="append",
                 nargs=3,
             ),
-            option(
-                "--speed F",
-                "fraction of the joints' limits, with --to (default: 0.5)",
-                type=finite,
-                default=0.5,
-            ),
+            option("--speed F", "fraction of the joints' limits, with --to (default: 0.5)", type=finite, default=0.5),
         ),
         "Give --to, --run or --beside for each arm. All is checked before anything moves, the arms against each other too.",
         module="cell",
@@ -283,9 +237,7 @@ CELLS = (
             CELL_OF_CLIENT,
             option("--leader ARM", "the arm that is guided or moved", required=True),
             option("--follower ARM", "the arm that follows, jogged", required=True),
-            option(
-                "--mirrored", "as in a mirror halfway between the two bases (default: the same joint angles)"
-            ),
+            option("--mirrored", "as in a mirror halfway between the two bases (default: the same joint angles)"),
         ),
         "The follower first moves to where the leader is. It keeps to the limits of jogs, and away from the other arm.",
         module="cell",

@@ -1,18 +1,6 @@
 """Commands that measure the arm on the calibration table."""
 
-from console.options import (
-    ARM,
-    AS_GIVEN,
-    BOARDS,
-    JSON,
-    OUT,
-    SOCKET,
-    CommandSpec,
-    finite,
-    option,
-    payload,
-    scenario,
-)
+from console.options import ARM, AS_GIVEN, BOARDS, JSON, OUT, SOCKET, CommandSpec, finite, option, payload, scenario
 
 RECORDING = (
     CommandSpec(
@@ -30,20 +18,10 @@ RECORDING = (
                 type=int,
                 choices=(1, 2),
             ),
-            option(
-                "--free N|FILE",
-                "number of free poses, or a file of them with q1_rad ...; needs --camera or --pictures",
-            ),
-            option(
-                "--plan FILE",
-                "points to record, from `armwright plan-poses`: setup,point, and q1_rad ... for setup free",
-            ),
+            option("--free N|FILE", "number of free poses, or a file of them with q1_rad ...; needs --camera or --pictures"),
+            option("--plan FILE", "points to record, from `armwright plan-poses`: setup,point, and q1_rad ... for setup free"),
             payload("mass at the tip (default: 0)"),
-            option(
-                "--seat",
-                "guide the tip by hand with the drives off, or jog it (default: hand)",
-                choices=("hand", "jog"),
-            ),
+            option("--seat", "guide the tip by hand with the drives off, or jog it (default: hand)", choices=("hand", "jog")),
             option(
                 "--board",
                 "place of the board: from the file, from the camera, or unknown (default: from the file)",
@@ -84,8 +62,7 @@ RECORDING = (
             option("--count N", "poses to plan (default: 12)", type=int),
             option(
                 "--free N",
-                "number of free poses among them (default: chosen by the criterion; without --count: N free"
-                " poses)",
+                "number of free poses among them (default: chosen by the criterion; without --count: N free poses)",
                 type=int,
             ),
             option(
@@ -94,20 +71,13 @@ RECORDING = (
                 " (opposite tilt) and roll+pitch",
             ),
             option("--only", "only free poses, or only cavities", choices=("free", "table")),
-            option(
-                "--criterion C",
-                "D (default), O1 to O5, or tip: the tip's uncertainty over the workspace",
-                default="D",
-            ),
+            option("--criterion C", "D (default), O1 to O5, or tip: the tip's uncertainty over the workspace", default="D"),
             option(
                 "--orientation-noise ANGLE",
                 "orientations are measured beside tips, with this standard deviation, e.g. 0.5mrad (default: if the points"
                 " have some)",
             ),
-            option(
-                "--noise LENGTH",
-                "standard deviation of a measured coordinate, e.g. 0.2mm (default: the camera's)",
-            ),
+            option("--noise LENGTH", "standard deviation of a measured coordinate, e.g. 0.2mm (default: the camera's)"),
             option(
                 "--view X0 X1 Y0 Y1 Z0 Z1",
                 "box in the base frame that the camera sees, in m (default: everything)",

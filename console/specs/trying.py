@@ -24,22 +24,14 @@ TRYING = (
                 choices=("job", "paper", "gap", "camera", "two-arms"),
                 default="job",
             ),
-            option(
-                "--out DIR",
-                "folder of the results; with something in it, the next free one: DIR-2 (default: out/demo, ...)",
-            ),
+            option("--out DIR", "folder of the results; with something in it, the next free one: DIR-2 (default: out/demo, ...)"),
             option("--realtime", "run in real time: own processes, pty and UDP multicast"),
             option("--seed N", "seed of the mock arm's hidden errors (default: the scenario's)", type=int),
-            option(
-                "--scenario S",
-                "scenario of the mock arm: a file or a supplied name (default: demo, or paper)",
-            ),
+            option("--scenario S", "scenario of the mock arm: a file or a supplied name (default: demo, or paper)"),
             option("--effect NAME", "demo gap: the hidden effect (default: drawn by the seed)"),
             option("--joint J", "demo gap: its joint (default: drawn)", type=int),
             option(
-                "--boards",
-                "drive the arm's joints with bought boards of this kind (docs/boards.md)",
-                choices=(*KINDS, "mixed"),
+                "--boards", "drive the arm's joints with bought boards of this kind (docs/boards.md)", choices=(*KINDS, "mixed")
             ),
             ARM,
             option("--cell C", "demo two-arms: a cell.toml with two arms (default: pair)"),
@@ -50,11 +42,7 @@ TRYING = (
         "drill",
         "a fault on a mock arm: how soon it was noticed, what the arm did, what was lost",
         (
-            option(
-                "name NAME",
-                "a drill of docs/drills.md, or how several begin (default: all, as a table)",
-                nargs="?",
-            ),
+            option("name NAME", "a drill of docs/drills.md, or how several begin (default: all, as a table)", nargs="?"),
             option("--mock", "required: drills run on a mock arm only"),
             option("--list", "the names of all drills, and what each does"),
             FIRMWARE,
@@ -100,16 +88,10 @@ BRINGUP = (
             option("--joints N", "how many joints turn, 2 to 7"),
             option("--axes zyy", "axis of each joint, stretched: z along the arm, y or x across"),
             option("--lengths M", "in m: base to joint 2, joint to joint, last joint to tip", nargs="+"),
-            option(
-                "--boards KIND",
-                "boards of the joints: one kind for all or one each (docs/boards.md)",
-                nargs="+",
-            ),
+            option("--boards KIND", "boards of the joints: one kind for all or one each (docs/boards.md)", nargs="+"),
             option("--gears R", "motor turns per joint turn: one for all or one each", nargs="+"),
             option("--counts C", "counts per turn of the encoder: one for all or one each", nargs="+"),
-            option(
-                "--encoders motor|joint", "the side of the gears on which the encoders are (default: motor)"
-            ),
+            option("--encoders motor|joint", "the side of the gears on which the encoders are (default: motor)"),
             option("--home yes|no", "whether every joint has a home switch and an index"),
             option(
                 "--ports PORT",
@@ -131,9 +113,7 @@ BRINGUP = (
             RATE,
             *MOCK,
             option("--seconds S", "how long to listen to the boards (default: 2)", type=finite, default=2.0),
-            option(
-                "--log DIR", "folder of the recordings (default: log; with --mock an empty one of its own)"
-            ),
+            option("--log DIR", "folder of the recordings (default: log; with --mock an empty one of its own)"),
             JSON,
         ),
         "Nothing is energised and nothing moves. Exit status 1 if a fault must be fixed first.",
@@ -169,20 +149,11 @@ BRINGUP = (
             *MOCK,
             NEW_ARM,
             JOINTS,
+            option("--bandwidth HZ", "crossover frequency of the loop (default: as fast as the margins allow)", type=finite),
             option(
-                "--bandwidth HZ",
-                "crossover frequency of the loop (default: as fast as the margins allow)",
-                type=finite,
+                "--amplitude F", "signal amplitude as a fraction of the current limit (default: 0.25)", type=finite, default=0.25
             ),
-            option(
-                "--amplitude F",
-                "signal amplitude as a fraction of the current limit (default: 0.25)",
-                type=finite,
-                default=0.25,
-            ),
-            option(
-                "--pose RAD", "joint angles to tune at (default: arm.toml's [rest])", type=finite, nargs="+"
-            ),
+            option("--pose RAD", "joint angles to tune at (default: arm.toml's [rest])", type=finite, nargs="+"),
             option("--yes", "start without asking"),
         ),
         (

@@ -34,16 +34,17 @@ RUN_MARKS_MOST: Final = 40
 LEAST_s: Final = 1e-7  # on a logarithmic axis
 CAMERA_MARKS_MOST: Final = 1500
 LEAST_ORDER, MOST_ORDER = 0.5, 16.0  # per motor turn; lower orders are the motion itself
-ABOVE: Final[dict[str, Any]] = {
-    "loc": "upper right", "ncols": 6, "fontsize": 8, "bbox_to_anchor": (0.985, 1.0),
-}  # fmt: skip
+ABOVE: Final[dict[str, Any]] = {"loc": "upper right", "ncols": 6, "fontsize": 8, "bbox_to_anchor": (0.985, 1.0)}
 CAMERA_MARKS: Final[dict[str, Any]] = {
-    "linestyle": "none", "marker": "x", "markersize": 3, "markeredgewidth": 0.7, "color": "#009E73", "label": "camera",
-}  # fmt: skip
+    "linestyle": "none",
+    "marker": "x",
+    "markersize": 3,
+    "markeredgewidth": 0.7,
+    "color": "#009E73",
+    "label": "camera",
+}
 ENCODER_PATH: Final[dict[str, Any]] = {"color": MEASURED, "linewidth": 2.0, "label": "by the encoders"}
-COMMANDED_PATH: Final[dict[str, Any]] = {
-    "color": SET, "linewidth": 0.9, "linestyle": "--", "label": "commanded",
-}  # fmt: skip
+COMMANDED_PATH: Final[dict[str, Any]] = {"color": SET, "linewidth": 0.9, "linestyle": "--", "label": "commanded"}
 
 
 def columns_of(joints: Sequence[int]) -> int:
@@ -58,9 +59,7 @@ def joint_axes(figure: FigureBase, joints: Sequence[int]) -> list[Axes]:
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
     left = 0.075 if columns == 1 else 0.07
     height_in = 0.85 + 1.45 * rows
-    figure.subplots_adjust(
-        left=left, right=0.985, top=1 - 0.42 / height_in, bottom=0.5 / height_in, hspace=0.28, wspace=0.16
-    )
+    figure.subplots_adjust(left=left, right=0.985, top=1 - 0.42 / height_in, bottom=0.5 / height_in, hspace=0.28, wspace=0.16)
     axes = [one for row in grid for one in row]
     for spare in axes[len(joints) :]:
         spare.set_visible(False)
@@ -93,13 +92,7 @@ def mark_runs(axes: Axes, series: Series) -> None:
 
 def legend(axes: Axes, **more: Any) -> None:
     """A legend above the right end of the axes, where it hides no curve."""
-    place = {
-        "loc": "lower right",
-        "bbox_to_anchor": (1.0, 1.0),
-        "ncols": 6,
-        "borderaxespad": 0.1,
-        "fontsize": 8,
-    }
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 6, "borderaxespad": 0.1, "fontsize": 8}
     axes.legend(**place | more)
 
 
@@ -126,10 +119,7 @@ def draw_supply(figure: FigureBase, series: Series, joints: Sequence[int]) -> No
     """Supply voltage and temperature of every drive."""
     axes = figure.subplots(2, 1, sharex=True)
     figure.subplots_adjust(left=0.075, right=0.985, top=0.86, bottom=0.12, hspace=0.22)
-    for one, values, label in (
-        (axes[0], series.supply_V, "supply [V]"),
-        (axes[1], series.temperature_C, "temperature [°C]"),
-    ):
+    for one, values, label in ((axes[0], series.supply_V, "supply [V]"), (axes[1], series.temperature_C, "temperature [°C]")):
         mark_runs(one, series)
         for joint in joints:
             shown = np.where(values[:, joint - 1] > 0.0, values[:, joint - 1], np.nan)
@@ -180,9 +170,7 @@ def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     step = max(1, len(series) // PATH_POINTS)
     kinematics = ForwardKinematics(series.arm)
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
-    paths = [
-        tips_of(kinematics, (placed * angles)[::step]) for angles in (series.joint_rad, series.joint_set_rad)
-    ]
+    paths = [tips_of(kinematics, (placed * angles)[::step]) for angles in (series.joint_rad, series.joint_set_rad)]
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1)]
     camera = camera[:: 1 + len(camera) // CAMERA_MARKS_MOST]
     for column, (i, j, seen) in enumerate(((0, 1, "top view"), (0, 2, "side view"))):
@@ -225,9 +213,7 @@ def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
             continue
         share = 1.0 - np.arange(len(found)) / len(found)
         pick = np.unique(np.concatenate([np.geomspace(1, len(found), 300).astype(int), [1]]))
-        axes[1].loglog(
-            1e6 * np.maximum(found[-pick], LEAST_s), share[-pick], color=colour, linestyle=line, label=label
-        )
+        axes[1].loglog(1e6 * np.maximum(found[-pick], LEAST_s), share[-pick], color=colour, linestyle=line, label=label)
     for total, label, colour in (
         (series.missed, "deadlines missed", LIMIT),
         (np.nancumsum(series.switches), "switches", MEASURED),
@@ -253,22 +239,9 @@ def draw_tracking(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
     """Set-point and measured angle."""
     for k, (axes, joint) in enumerate(zip(joint_axes(figure, joints), joints, strict=True)):
         mark_runs(axes, series)
+        curve(axes, series, np.degrees(series.q_rad[:, joint - 1]), color=MEASURED, label="measured", linewidth=2.2)
         curve(
-            axes,
-            series,
-            np.degrees(series.q_rad[:, joint - 1]),
-            color=MEASURED,
-            label="measured",
-            linewidth=2.2,
-        )
-        curve(
-            axes,
-            series,
-            np.degrees(series.q_set_rad[:, joint - 1]),
-            color=SET,
-            linestyle="--",
-            label="set-point",
-            linewidth=0.9,
+            axes, series, np.degrees(series.q_set_rad[:, joint - 1]), color=SET, linestyle="--", label="set-point", linewidth=0.9
         )
         axes.set_ylabel("angle [deg]")
         head(axes, series.joint_name(joint))
@@ -314,12 +287,7 @@ def draw_voltages(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
         most = np.nanmax(supply) if (np.nan_to_num(supply) > 0.0).any() else drive.supply_V if drive else None
         found = voltage[np.isfinite(voltage)]
         _limit(axes, found, most, "V")
-        head(
-            axes,
-            f"{series.joint_name(joint)}: peak {np.abs(found).max():.3g} V"
-            if len(found)
-            else series.joint_name(joint),
-        )
+        head(axes, f"{series.joint_name(joint)}: peak {np.abs(found).max():.3g} V" if len(found) else series.joint_name(joint))
 
 
 def _limit(axes: Axes, values: Array, limit: float | None, unit: str) -> None:
@@ -331,14 +299,7 @@ def _limit(axes: Axes, values: Array, limit: float | None, unit: str) -> None:
             if values.min() < 0.0 or side > 0.0:
                 axes.axhline(side, color=LIMIT, linestyle=(0, (4, 2)), linewidth=1.0)
         axes.margins(y=0.12)
-    axes.annotate(
-        f"limit ±{limit:.3g} {unit}",
-        (1.0, 1.02),
-        xycoords="axes fraction",
-        ha="right",
-        fontsize=8,
-        color=LIMIT,
-    )
+    axes.annotate(f"limit ±{limit:.3g} {unit}", (1.0, 1.02), xycoords="axes fraction", ha="right", fontsize=8, color=LIMIT)
 
 
 Draw = Callable[["FigureBase", Series, Sequence[int]], None]
@@ -378,14 +339,7 @@ PICTURES: Final = (
     Picture("errors", "Following error", draw_errors, lambda s: _is_any(s.following_error_rad)),
     Picture("currents", "Motor current", draw_currents, lambda s: _is_any(s.current_A)),
     Picture("voltages", "Commanded motor voltage", draw_voltages, lambda s: _is_any(s.voltage_V)),
-    Picture(
-        "supply",
-        "Supply and temperature",
-        draw_supply,
-        lambda s: _is_any(s.supply_V) or _is_any(s.temperature_C),
-        False,
-        2,
-    ),
+    Picture("supply", "Supply and temperature", draw_supply, lambda s: _is_any(s.supply_V) or _is_any(s.temperature_C), False, 2),
     Picture("spectra", "Spectra", draw_spectra, _has_spectrum, False, 1, 2.6),
     Picture("tip", "Tip", draw_tip, lambda s: s.arm is not None and _is_any(s.q_rad), False, 1, 5.6),
     Picture("lateness", "Cycle timing", draw_lateness, lambda s: _is_any(s.late_s), False, 1, 2.0),
@@ -399,11 +353,7 @@ FORMS: Final = (".png", ".svg", ".pdf")
 
 
 def write_each(
-    folder: Path,
-    pictures: Sequence[Picture],
-    series: Series,
-    joints: Sequence[int],
-    report: Advance = silent,
+    folder: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int], report: Advance = silent
 ) -> list[Path]:
     """Write one PNG per picture to `folder`; return the files. `report` gets each title and the share done."""
     files = [folder / f"{picture.name}.png" for picture in pictures]

@@ -73,9 +73,7 @@ def of_recording(recording: Recording, rows: NDArray[Any], arm: Arm | None = Non
     count, end = recording.extent()
     size = path.stat().st_size
     if size < recording.offset:
-        raise ArmError(
-            f"{path}: the header is cut off: {recording.offset - size} bytes are missing; nothing was recorded"
-        )
+        raise ArmError(f"{path}: the header is cut off: {recording.offset - size} bytes are missing; nothing was recorded")
     notes = []
     if size > end:
         unit = "row" if recording.columns is None else "frame"
@@ -121,16 +119,7 @@ def _numbers(texts: list[str]) -> Array:
         return np.full(len(texts), np.nan)
 
 
-PER_JOINT = (
-    "q_rad",
-    "q_set_rad",
-    "joint_rad",
-    "joint_set_rad",
-    "current_A",
-    "voltage_V",
-    "supply_V",
-    "temperature_C",
-)
+PER_JOINT = ("q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A", "voltage_V", "supply_V", "temperature_C")
 ANGLES = ("q_rad", "q_set_rad", "joint_rad", "joint_set_rad")
 
 
@@ -155,9 +144,7 @@ def series_of_cell(folder: Path) -> Series:
     apart_s = np.ptp([one["t_s"] for one in at], axis=0)
     if not len(common) or apart_s.max() > SAME_S:
         names = ", ".join(arm_of(one) for one in recordings)
-        raise RecordError(
-            f"{folder}: {names} have no cycles in common: they are not of one run of `armwright serve`"
-        )
+        raise RecordError(f"{folder}: {names} have no cycles in common: they are not of one run of `armwright serve`")
     found = [_known(of_recording(one, own)) for one, own in zip(recordings, at, strict=True)]
     first = found[0]
     joined: dict[str, Any] = {name: np.hstack([getattr(one, name) for one in found]) for name in PER_JOINT}
@@ -197,21 +184,14 @@ def of_mcap(path: Path, arm: Arm | None, report: Report) -> Series:
         except _damage_errors() as error:
             notes.append(f"{path}: damaged or cut off ({type(error).__name__}): shown up to there")
     if not table.times_ns:
-        raise ArmError(
-            f"{path}: contains none of the topics {', '.join(TOPICS)}: expected an MCAP of `armwright export`"
-        )
+        raise ArmError(f"{path}: contains none of the topics {', '.join(TOPICS)}: expected an MCAP of `armwright export`")
     columns = table.columns()
     joints = sum(name.startswith("q") and name.endswith("_rad") and name[1:-4].isdigit() for name in columns)
     if not joints:
         raise ArmError(f"{path}: contains no joint angles")
     modes = tuple(table.modes.get(k, f"mode {k}") for k in range(max(table.modes, default=-1) + 1))
     return of_columns(
-        path.name,
-        columns,
-        joints,
-        modes or MODES_BEFORE_THEY_WERE_RECORDED,
-        arm or attached_arm(path),
-        tuple(notes),
+        path.name, columns, joints, modes or MODES_BEFORE_THEY_WERE_RECORDED, arm or attached_arm(path), tuple(notes)
     )
 
 
@@ -253,8 +233,7 @@ class _Table:
         """Columns by name, NaN where a message lacks the field; `t_s` from the messages' times."""
         count = len(self.times_ns)
         found = {
-            key: np.concatenate([np.array(column), np.full(count - len(column), np.nan)])
-            for key, column in self._columns.items()
+            key: np.concatenate([np.array(column), np.full(count - len(column), np.nan)]) for key, column in self._columns.items()
         }
         times_ns = np.array(self.times_ns, dtype=np.int64)
         return {**found, "t_s": (times_ns - times_ns[0]) / 1e9}

@@ -95,18 +95,13 @@ class _LinePainter:
         canvas = FigureCanvasAgg(figure)
         axes: Any = figure.add_subplot(projection="3d")
         arms = [self.joints_m(snapshot.joint_set_rad), self.joints_m(snapshot.joint_rad)]
-        for joints, colour, line, label in (
-            (arms[0], "#D55E00", "-", "commanded"),
-            (arms[1], "#0072B2", "--", "measured"),
-        ):
+        for joints, colour, line, label in ((arms[0], "#D55E00", "-", "commanded"), (arms[1], "#0072B2", "--", "measured")):
             axes.plot(*joints.T, color=colour, linestyle=line, linewidth=4, marker="o", label=label)
         for points, colour in ((traces.commanded_m, "#D55E00"), (traces.measured_m, "#0072B2")):
             axes.plot(*points.T, color=colour, linewidth=0.8)
         axes.plot(*traces.camera_m.T, color="#009E73", marker=".", markersize=2, linestyle="none")
         _equal_axes(axes, np.concatenate([*arms, traces.commanded_m, traces.measured_m]))
-        axes.set(
-            xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=f"t = {snapshot.t_s:.2f} s {snapshot.mode}"
-        )
+        axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=f"t = {snapshot.t_s:.2f} s {snapshot.mode}")
         axes.legend(loc="upper right", frameon=False)
         canvas.draw()  # type: ignore[no-untyped-call]
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
@@ -128,9 +123,7 @@ def _equal_axes(axes: Any, points: Array) -> None:
     axes.set_box_aspect((1, 1, 1))
 
 
-def frames(
-    series: Series, rows: Sequence[int], traces: Traces, paint: Painter
-) -> Iterator[tuple[float, Image]]:
+def frames(series: Series, rows: Sequence[int], traces: Traces, paint: Painter) -> Iterator[tuple[float, Image]]:
     """Time [s] and image of each row."""
     for row in rows:
         snapshot = snapshot_at(series, int(row))
@@ -153,10 +146,7 @@ def write_images(out: Path, images: Iterator[tuple[float, Image]], period_s: flo
         pictures = [Pillow.fromarray(image).quantize(256) for _, image in images]
         each_ms = max(20, round(1e3 * period_s))
         make_whole(
-            out,
-            lambda beside: pictures[0].save(
-                beside, save_all=True, append_images=pictures[1:], duration=each_ms, loop=0
-            ),
+            out, lambda beside: pictures[0].save(beside, save_all=True, append_images=pictures[1:], duration=each_ms, loop=0)
         )
         return [out]
     out.mkdir(parents=True, exist_ok=True)

@@ -35,11 +35,7 @@ PREFIX: Final = "measured/"
 LINE_m, MARK_m = 0.0016, 0.003  # radii of lines and marks
 LINE_PIECES, MARKS_MOST = 250, 150
 SIZE_pixels: Final = (960, 720)
-AZIMUTH_deg, ELEVATION_deg, HEIGHT_deg = (
-    125.0,
-    -16.0,
-    45.0,
-)  # of the camera; HEIGHT: MuJoCo's usual field of view
+AZIMUTH_deg, ELEVATION_deg, HEIGHT_deg = (125.0, -16.0, 45.0)  # of the camera; HEIGHT: MuJoCo's usual field of view
 
 
 class Viewpoint(NamedTuple):
@@ -53,9 +49,7 @@ def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> Viewpoint:
     """The nearest view that holds all domes: the half balls (centre, radius) [m] in which arms reach."""
     polar, around = np.meshgrid(np.linspace(0.0, math.pi / 2.0, 13), np.linspace(0.0, 2.0 * math.pi, 49))
     dome = np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
-    return nearest_view(
-        np.concatenate([np.array(centre) + radius * dome.reshape(-1, 3) for centre, radius in domes])
-    )
+    return nearest_view(np.concatenate([np.array(centre) + radius * dome.reshape(-1, 3) for centre, radius in domes]))
 
 
 def nearest_view(points: Array) -> Viewpoint:
@@ -109,10 +103,7 @@ class Scene:
 
     def add_traces(self, scene: Any, traces: Traces) -> None:
         """Add lines and marks after the scene's contents."""
-        for points, colour, radius in (
-            (traces.commanded_m, COMMANDED, LINE_m),
-            (traces.measured_m, MEASURED, 1.7 * LINE_m),
-        ):
+        for points, colour, radius in ((traces.commanded_m, COMMANDED, LINE_m), (traces.measured_m, MEASURED, 1.7 * LINE_m)):
             for a, b in _pieces(points):
                 _connect(scene, a, b, radius, colour)
         marks = traces.camera_m[np.isfinite(traces.camera_m).all(axis=1)]
@@ -215,9 +206,13 @@ def _furnish(spec: Any, reach: float, floor_m: float) -> None:
     sun = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     world.add_light(pos=[0.5 * reach, -reach, 3.0 * reach], dir=[0.0, 0.3, -1.0], type=sun)
     world.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.6 * reach, 1.6 * reach, 0.1], pos=[0.0, 0.0, floor_m - 0.011],
-        material=_tiles(spec, reach), contype=0, conaffinity=0,
-    )  # fmt: skip
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[1.6 * reach, 1.6 * reach, 0.1],
+        pos=[0.0, 0.0, floor_m - 0.011],
+        material=_tiles(spec, reach),
+        contype=0,
+        conaffinity=0,
+    )
     spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE_pixels
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
@@ -227,13 +222,23 @@ def _tiles(spec: Any, reach_m: float) -> str:
     """A floor with tiles of 0.1 m, and a light sky."""
     kinds, patterns = mujoco.mjtTexture, mujoco.mjtBuiltin
     spec.add_texture(
-        name="sky", type=kinds.mjTEXTURE_SKYBOX, builtin=patterns.mjBUILTIN_GRADIENT,
-        rgb1=[0.97, 0.98, 0.99], rgb2=[0.80, 0.84, 0.88], width=256, height=1536,
-    )  # fmt: skip
+        name="sky",
+        type=kinds.mjTEXTURE_SKYBOX,
+        builtin=patterns.mjBUILTIN_GRADIENT,
+        rgb1=[0.97, 0.98, 0.99],
+        rgb2=[0.80, 0.84, 0.88],
+        width=256,
+        height=1536,
+    )
     spec.add_texture(
-        name="tiles", type=kinds.mjTEXTURE_2D, builtin=patterns.mjBUILTIN_CHECKER,
-        rgb1=[0.55, 0.58, 0.61], rgb2=[0.49, 0.52, 0.55], width=256, height=256,
-    )  # fmt: skip
+        name="tiles",
+        type=kinds.mjTEXTURE_2D,
+        builtin=patterns.mjBUILTIN_CHECKER,
+        rgb1=[0.55, 0.58, 0.61],
+        rgb2=[0.49, 0.52, 0.55],
+        width=256,
+        height=256,
+    )
     floor = spec.add_material(name="floor", texrepeat=[16.0 * reach_m, 16.0 * reach_m])
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     return "floor"
@@ -256,9 +261,13 @@ def _add_board(world: Any, arm: Arm) -> None:
     low, high = points.min(axis=0) - 0.02, points.max(axis=0) + 0.02
     half, (x, y, _) = 0.5 * (high - low), (0.5 * (low + high)).tolist()
     world.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, size=[half[0], half[1], 0.005], pos=[x, y, points[:, 2].min() - 0.006],
-        rgba=list(BOARD), contype=0, conaffinity=0,
-    )  # fmt: skip
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[half[0], half[1], 0.005],
+        pos=[x, y, points[:, 2].min() - 0.006],
+        rgba=list(BOARD),
+        contype=0,
+        conaffinity=0,
+    )
     for point in points:
         world.add_site(pos=point.tolist(), size=[0.003, 0.003, 0.003], rgba=list(CAVITY))
 

@@ -15,13 +15,14 @@ from control.model.arm import Arm, Drive
 from control.model.cell import Cell
 
 JOINT_FORMS: Final = {
-    "q_rad": "q{}_rad", "q_set_rad": "q{}_set_rad", "current_A": "i{}_A", "voltage_V": "u{}_V",
-    "supply_V": "supply{}_V", "temperature_C": "temperature{}_C",
-}  # fmt: skip
-JOINT_SIDE_FORMS: Final = (
-    ("joint_rad", "joint{}_rad", "q_rad"),
-    ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
-)
+    "q_rad": "q{}_rad",
+    "q_set_rad": "q{}_set_rad",
+    "current_A": "i{}_A",
+    "voltage_V": "u{}_V",
+    "supply_V": "supply{}_V",
+    "temperature_C": "temperature{}_C",
+}
+JOINT_SIDE_FORMS: Final = (("joint_rad", "joint{}_rad", "q_rad"), ("joint_set_rad", "joint{}_set_rad", "q_set_rad"))
 LOOP_COLUMNS: Final = ("late_s", "busy_s", "missed", "page_faults", "switches", "age_s")
 Report = Callable[[float], None]
 
@@ -180,9 +181,25 @@ def _owner(cell: Cell, joint: int) -> tuple[Arm, int]:
 
 
 _ROWS: Final = (
-    "t_s", "run", "mode", "q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A", "voltage_V", "supply_V",
-    "temperature_C", "tip_m", "late_s", "busy_s", "missed", "page_faults", "switches", "age_s",
-)  # fmt: skip
+    "t_s",
+    "run",
+    "mode",
+    "q_rad",
+    "q_set_rad",
+    "joint_rad",
+    "joint_set_rad",
+    "current_A",
+    "voltage_V",
+    "supply_V",
+    "temperature_C",
+    "tip_m",
+    "late_s",
+    "busy_s",
+    "missed",
+    "page_faults",
+    "switches",
+    "age_s",
+)
 
 
 def chosen(series: Series, run: str | None, from_s: float | None, to_s: float | None) -> Series:
@@ -282,11 +299,7 @@ def orders(motor_turns: Array, values: Array) -> tuple[Array, Array]:
     Each stretch that turns one way for at least `TURNS` turns is sampled again at equal angles; pieces of `TURNS` turns are
     averaged. Both empty where there is no such stretch.
     """
-    powers = [
-        piece
-        for stretch in _one_way(motor_turns)
-        for piece in _turn_spectra(motor_turns[stretch], values[stretch])
-    ]
+    powers = [piece for stretch in _one_way(motor_turns) for piece in _turn_spectra(motor_turns[stretch], values[stretch])]
     if not powers:
         return np.empty(0), np.empty(0)
     # a Hann window halves an amplitude, and one side of the spectrum has half of it: 4 / N together

@@ -210,9 +210,7 @@ class TipPath:
         self._commanded = [*self._commanded, now[:, 1]][-self._most :]
         if snapshot.camera_m is not None:
             self._camera_m = np.vstack([self._camera_m, snapshot.camera_m])[-self._most :]
-        return Traces(
-            _one_after_the_other(self._commanded), _one_after_the_other(self._measured), self._camera_m
-        )
+        return Traces(_one_after_the_other(self._commanded), _one_after_the_other(self._measured), self._camera_m)
 
 
 def _one_after_the_other(tips: Sequence[Array]) -> Array:

@@ -61,10 +61,7 @@ def _log(rerun: Any, kinematics: ForwardKinematics, snapshot: Snapshot) -> None:
         rerun.log(f"joint{number}/following_error_rad", rerun.Scalars(wanted - angle))
     for number, current in enumerate(snapshot.current_A, start=1):
         rerun.log(f"joint{number}/current_A", rerun.Scalars(current))
-    for name, angles, colour in (
-        ("measured", snapshot.joint_rad, MEASURED),
-        ("commanded", snapshot.joint_set_rad, COMMANDED),
-    ):
+    for name, angles, colour in (("measured", snapshot.joint_rad, MEASURED), ("commanded", snapshot.joint_set_rad, COMMANDED)):
         points = [*kinematics.link_transforms([angles])[0][:, :3, 3], kinematics.tips([angles])[0]]
         rerun.log(f"arm/{name}", rerun.LineStrips3D([points], colors=[colour], radii=[0.01]))
         rerun.log(f"arm/{name}_tip", rerun.Points3D([points[-1]], colors=[colour], radii=[0.012]))
@@ -85,10 +82,15 @@ OF_JOINTS: Final = {  # topic: its columns by the status's key (docs/socket.md)
     SET_POINT: {"q{}_set_rad": "q_set_rad", "joint{}_set_rad": "joint_set_rad"},
     ERROR: {"following_error{}_rad": "following_error_rad"},
     DRIVES: {"i{}_A": "current_A", "supply{}_V": "supply_V", "temperature{}_C": "temperature_C"},
-}  # fmt: skip
+}
 OF_LOOP: Final = {
-    "t_s": "t_s", "cycle": "cycle", "run": "run", "missed": "missed_cycles", "payload_kg": "payload_kg", "mode_name": "mode",
-}  # fmt: skip
+    "t_s": "t_s",
+    "cycle": "cycle",
+    "run": "run",
+    "missed": "missed_cycles",
+    "payload_kg": "payload_kg",
+    "mode_name": "mode",
+}
 
 
 class Address(NamedTuple):
@@ -116,13 +118,10 @@ def serve(arm: Arm, statuses: Iterator[Message], address: Address, announce: Cal
     foxglove = _foxglove()
     context = foxglove.Context()
     channels = {
-        topic: foxglove.Channel(topic, schema=schema, context=context)
-        for topic, schema in schemas_of(arm.joint_count).items()
+        topic: foxglove.Channel(topic, schema=schema, context=context) for topic, schema in schemas_of(arm.joint_count).items()
     }
     try:
-        server = foxglove.start_server(
-            name=f"armwright {arm.name}", host=address.host, port=address.port, context=context
-        )
+        server = foxglove.start_server(name=f"armwright {arm.name}", host=address.host, port=address.port, context=context)
     except RuntimeError as error:
         raise ArmError(
             f"--foxglove: cannot listen at {address.host}:{address.port} ({error}): choose another PORT, or 0 for a free one"

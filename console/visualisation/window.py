@@ -57,9 +57,7 @@ def open_window(scene: Scene, on_key: Callable[[int], None]) -> Handle:
             scene.model, scene.data, key_callback=on_key, show_left_ui=False, show_right_ui=False
         )
     except RuntimeError as error:  # on macOS
-        raise ArmError(
-            f"MuJoCo's viewer does not start ({error}): run it as `mjpython -m console.main view ...`"
-        ) from error
+        raise ArmError(f"MuJoCo's viewer does not start ({error}): run it as `mjpython -m console.main view ...`") from error
     aim(handle.cam, scene)
     return _Window(handle, [thread for thread in threading.enumerate() if thread not in before])
 

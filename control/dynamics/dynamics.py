@@ -64,15 +64,7 @@ def chain_of(arm: Arm) -> Chain:
     rotors = {d.joint: d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives}
     reflected = tuple(rotors.get(j, 0.0) for j in range(1, joint + 1))
     tool = arm.tool
-    return Chain(
-        tuple(bodies),
-        arm.dh_convention == "modified",
-        tool.position_m,
-        reflected,
-        joint,
-        tool.mass_kg,
-        tool.centre_m,
-    )
+    return Chain(tuple(bodies), arm.dh_convention == "modified", tool.position_m, reflected, joint, tool.mass_kg, tool.centre_m)
 
 
 def _check_masses(arm: Arm) -> None:
@@ -84,9 +76,7 @@ def _check_masses(arm: Arm) -> None:
                 break
             carried.append(other.mass_kg)
         lacks = [
-            key
-            for key, value in (("com_m", link.com_m), ("inertia_kg_m2", link.inertia_kg_m2))
-            if value is None and link.mass_kg
+            key for key, value in (("com_m", link.com_m), ("inertia_kg_m2", link.inertia_kg_m2)) if value is None and link.mass_kg
         ]
         if link.joint == "revolute" and all(mass is None for mass in carried):
             lacks = ["mass_kg", "com_m", "inertia_kg_m2"]
@@ -186,9 +176,7 @@ def _inertial(body: RigidLink, omega: Vector, alpha: Vector, linear: Vector) -> 
     return force, _add(moment, _cross(body.com_m, force))
 
 
-def _link_transform(
-    dh: tuple[float, float, float, float], angle: Scalar, is_modified: bool
-) -> tuple[list[Vector], Vector]:
+def _link_transform(dh: tuple[float, float, float, float], angle: Scalar, is_modified: bool) -> tuple[list[Vector], Vector]:
     """Return the rows of the rotation to the previous frame, and the origin in it."""
     d, _, length, alpha = dh
     c, s, ca, sa = cos(angle), sin(angle), cos(alpha), sin(alpha)
@@ -264,9 +252,7 @@ class Dynamics:
         """`gravity(q) -> torques` that hold the arm still [N m]."""
         q, *_ = self._symbols()
         still = [0.0] * self.joint_count
-        return compile_function(
-            "gravity", [q], tuple(self._torques(q, still, still, self._gravity, self.payload_kg))
-        )
+        return compile_function("gravity", [q], tuple(self._torques(q, still, still, self._gravity, self.payload_kg)))
 
     @shared
     def mass_matrix(self) -> Callable[[Sequence[float]], tuple[Floats, ...]]:
@@ -274,9 +260,7 @@ class Dynamics:
         q, *_ = self._symbols()
         return compile_function("mass_matrix", [q], self._mass_rows(q))
 
-    def torques(
-        self, q: ArrayLike, speed: ArrayLike, acceleration: ArrayLike, payload_kg: ArrayLike | None = None
-    ) -> Array:
+    def torques(self, q: ArrayLike, speed: ArrayLike, acceleration: ArrayLike, payload_kg: ArrayLike | None = None) -> Array:
         """Return the torques (m, n) of m states, each argument (m, n); a payload for each (m,), or one for all."""
         states = [checked_poses(part, self.joint_count) for part in (q, speed, acceleration)]
         if len({part.shape for part in states}) != 1:

@@ -42,11 +42,7 @@ def torque_model(arm: Arm, payload_kg: float = 0.0) -> MotionTorques:
     terms += [(one.joint - 1, 1.0, _map(arm, one)) for one in arm.maps if one.corrects == "torque_Nm"]
 
     def torques(
-        q: Sequence[float],
-        speed: Sequence[float],
-        acceleration: Sequence[float],
-        motor_rad: Sequence[float] | None = None,
-        /,
+        q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float], motor_rad: Sequence[float] | None = None, /
     ) -> Torques:
         transmitted = rigid(q, speed, acceleration)
         if not terms:
@@ -66,16 +62,12 @@ def own_payload_kg(arm: Arm) -> float:
 
 def links_alone(arm: Arm) -> Arm:
     """The arm with its `link_inertia` effects and without rotors: its torques are those that gears transmit to the links."""
-    return replace(
-        with_link_inertia(arm), drives=tuple(replace(one, rotor_inertia_kg_m2=0.0) for one in arm.drives)
-    )
+    return replace(with_link_inertia(arm), drives=tuple(replace(one, rotor_inertia_kg_m2=0.0) for one in arm.drives))
 
 
 def with_link_inertia(arm: Arm) -> Arm:
     """The arm with the mass and inertia of its `link_inertia` effects added to its links; unchanged if it has none."""
-    more = [
-        (e.joint - 1, e.parameters) for e in arm.effects if e.effect == "link_inertia" and e.joint is not None
-    ]
+    more = [(e.joint - 1, e.parameters) for e in arm.effects if e.effect == "link_inertia" and e.joint is not None]
     if not more:
         return arm
     links = list(arm.links)

@@ -107,11 +107,7 @@ def gains_behind_play(b: float, a: float, filter_s: float, pole_rad_s: float) ->
 
 
 def placed_gains(
-    drive: Drive,
-    inertia_kg_m2: float,
-    filter_s: float,
-    pole_rad_s: float = POLE_rad_s,
-    leaves_third: bool = False,
+    drive: Drive, inertia_kg_m2: float, filter_s: float, pole_rad_s: float = POLE_rad_s, leaves_third: bool = False
 ) -> Gains:
     """Return the gains that put three poles at -pole for a joint of this inertia.
 

@@ -96,12 +96,7 @@ class Gear:
         self.speed_rad_s = self.acceleration_rad_s2 = 0.0
 
     def follow(
-        self,
-        torque_Nm: float,
-        speed_rad_s: float,
-        acceleration_rad_s2: float,
-        elapsed_s: float,
-        q_rad: float = 0.0,
+        self, torque_Nm: float, speed_rad_s: float, acceleration_rad_s2: float, elapsed_s: float, q_rad: float = 0.0
     ) -> None:
         """Advance by `elapsed_s` with the joint's set-point and this torque of the links."""
         wanted = self._wanted(torque_Nm, q_rad, speed_rad_s, acceleration_rad_s2)
@@ -148,9 +143,7 @@ class Gear:
 GEAR_EFFECTS: Final = corrected("gear")
 SIDE_EFFECTS: Final = RIGID_EFFECTS | GEAR_EFFECTS
 LINK_SHARE: Final = 0.5  # of a joint's dry friction on the link side: the middle of the possible range
-UNKNOWN_FRICTION: Final = (
-    0.01  # on the link side, of the torque at the current limit, if the arm's file gives none
-)
+UNKNOWN_FRICTION: Final = 0.01  # on the link side, of the torque at the current limit, if the arm's file gives none
 SHARE_OF_SPEED, SHARE_OF_ACCELERATION = 0.25, 0.5  # of a joint's limits, for the offset's own motion
 
 State = tuple[Floats, Floats, Floats]  # angles, speeds, accelerations
@@ -226,9 +219,9 @@ class JointSide:
 
 def has_joint_side(arm: Arm) -> bool:
     """Whether the arm has effects or measured maps between encoders and joints."""
-    return any(
-        one.effect in SIDE_EFFECTS and arm.is_behind_encoder(one.effect, one.joint) for one in arm.effects
-    ) or any(one.corrects == "angle_rad" for one in arm.maps)
+    return any(one.effect in SIDE_EFFECTS and arm.is_behind_encoder(one.effect, one.joint) for one in arm.effects) or any(
+        one.corrects == "angle_rad" for one in arm.maps
+    )
 
 
 def link_torque(arm: Arm) -> LinkTorque:
@@ -236,9 +229,7 @@ def link_torque(arm: Arm) -> LinkTorque:
     links, own_kg = links_alone(arm), own_payload_kg(arm)
     known, laden = Dynamics(links, own_kg).inverse, Dynamics(links, own_kg + 1.0).inverse
 
-    def torque(
-        q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float], payload_kg: float
-    ) -> Sequence[float]:
+    def torque(q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float], payload_kg: float) -> Sequence[float]:
         empty = known(q, speed, acceleration)
         if payload_kg == 0.0:
             return empty
@@ -314,14 +305,9 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
         law = laws.get(j + 1)
         off = 0.0 if law is None else _largest_offset_rad(arm, j + 1, law)
         low, high = (min(belt), max(belt)) if j + 1 == COUPLED else (0.0, 0.0)
-        room = (
-            max(lower, rigid.joint_of(j, lower) + off + high),
-            min(upper, rigid.joint_of(j, upper) - off + low),
-        )
+        room = (max(lower, rigid.joint_of(j, lower) + off + high), min(upper, rigid.joint_of(j, upper) - off + low))
         if not room[0] < room[1]:
-            raise ArmError(
-                f"arm {arm.name}: with its effects, joint {j + 1} has no range left within its limits"
-            )
+            raise ArmError(f"arm {arm.name}: with its effects, joint {j + 1} has no range left within its limits")
         found.append(room)
     return tuple(found)
 

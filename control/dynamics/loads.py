@@ -75,18 +75,12 @@ class Loads:
         """The model's masses now, by their place in the last frame."""
         return dict(self._now)
 
-    def torques(
-        self, q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float]
-    ) -> Sequence[float] | None:
+    def torques(self, q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float]) -> Sequence[float] | None:
         """Joint torques [N m] that the masses need for a motion [rad, rad/s, rad/s^2]; None: there is no mass."""
         total: Sequence[float] | None = None
         for place, mass_kg in self._now.items():
             unit = self._unit[place](q, speed, acceleration)
-            total = (
-                [mass_kg * u for u in unit]
-                if total is None
-                else [t + mass_kg * u for t, u in zip(total, unit, strict=True)]
-            )
+            total = [mass_kg * u for u in unit] if total is None else [t + mass_kg * u for t, u in zip(total, unit, strict=True)]
         return total
 
 

@@ -29,9 +29,7 @@ from control.model.effects import EFFECTS
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-LINK_SHARE_LEAST: Final = (
-    0.02  # of a joint's dry friction: unknown, so a flank counts only if it is the same from here to 1
-)
+LINK_SHARE_LEAST: Final = 0.02  # of a joint's dry friction: unknown, so a flank counts only if it is the same from here to 1
 LED: Final = 0.3  # of a joint's friction: with less than this, the motor did not drive the joint there
 FRICTION_QUANTILE: Final = 0.95  # quantile of what motors hold beyond gravity: most poses may be hand-guided
 CURRENT_NOISE_A: Final = 0.02  # friction below three of these is treated as zero
@@ -100,9 +98,7 @@ def gravity_Nm(arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0) -> Array
     return Dynamics(with_link_inertia(arm)).gravities(q_rad, load_kg)
 
 
-def moving_Nm(
-    arm: Arm, q_rad: Array, speed_rad_s: Array, acceleration_rad_s2: Array, payload_kg: ArrayLike = 0.0
-) -> Array:
+def moving_Nm(arm: Arm, q_rad: Array, speed_rad_s: Array, acceleration_rad_s2: Array, payload_kg: ArrayLike = 0.0) -> Array:
     """What the links of a moving arm need beyond gravity [N m], (m, n): what gears transmit. MissingModel without masses."""
     links = Dynamics(links_alone(arm))
     load_kg = np.asarray(payload_kg, dtype=np.float64) + own_payload_kg(arm)
@@ -158,9 +154,7 @@ def _without_unloaded(held: Array, gravity: Array, per_A: Array) -> Array:
     return np.where(np.isfinite(left).any(axis=0), left, held)
 
 
-def _driven_range(
-    gravity: Array, held: Array, last: Array, level: Array, is_known: Flags
-) -> tuple[Array, Array, Array]:
+def _driven_range(gravity: Array, held: Array, last: Array, level: Array, is_known: Flags) -> tuple[Array, Array, Array]:
     """Lower and upper bound of a driven joint's transmitted torque, and its required distance from 0, all (m, n).
 
     A motor that seems to hold friction against the joint's last motion has turned back since, or the arm braked hard. Then

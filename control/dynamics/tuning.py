@@ -123,9 +123,7 @@ def fit_motor(response: Response) -> MotorFit:
         if best is None or residual < best.residual:
             best = MotorFit(trial.b, trial.a_1_s, trial.delay_s, residual)
     if best is None or best.residual > NO_MOTOR:
-        raise ArmError(
-            "tuning: the measured response does not look like a motor's: it does not fall with frequency"
-        )
+        raise ArmError("tuning: the measured response does not look like a motor's: it does not fall with frequency")
     return best
 
 
@@ -138,9 +136,7 @@ def controller(gains: Gains, period_s: float, omega_rad_s: Real) -> Complex:
         return np.asarray(g / (1.0 - (1.0 - g) * back), dtype=np.complex128)
 
     derivative = low_pass(gains.derivative_filter_s) * low_pass(SPEED_FILTER_S) * (1.0 - back) / period_s
-    return np.asarray(
-        gains.kp + gains.ki * period_s / (1.0 - back) + gains.kd * derivative, dtype=np.complex128
-    )
+    return np.asarray(gains.kp + gains.ki * period_s / (1.0 - back) + gains.kd * derivative, dtype=np.complex128)
 
 
 def margins(omega_rad_s: Real, loop: Complex) -> Margins:
@@ -152,9 +148,7 @@ def margins(omega_rad_s: Real, loop: Complex) -> Margins:
     omega, loop = _refined(omega_rad_s, loop)
     magnitude_dB = 20.0 * np.log10(np.abs(loop))
     phase_deg = np.degrees(np.unwrap(np.angle(loop)))
-    phase_deg -= 360.0 * np.round(
-        (phase_deg[0] + 135.0) / 360.0
-    )  # a motor's loop begins between -180 and -90 deg
+    phase_deg -= 360.0 * np.round((phase_deg[0] + 135.0) / 360.0)  # a motor's loop begins between -180 and -90 deg
     crossings = np.flatnonzero(np.diff(np.sign(magnitude_dB)) != 0)
     if not crossings.size:
         return Margins(math.nan, math.nan, math.inf if magnitude_dB[0] > 0.0 else 0.0, math.nan)
@@ -164,17 +158,13 @@ def margins(omega_rad_s: Real, loop: Complex) -> Margins:
     is_unstable = any(magnitude_dB[k] > 0.0 and phase_deg[k + 1] < phase_deg[k] for k in reversals)
     distances_dB = [abs(float(magnitude_dB[k])) for k in reversals]
     gain_dB = -math.inf if is_unstable else min(distances_dB, default=math.inf)
-    return Margins(
-        gain_dB, float(min(phases)), float(omega[crossings[-1]]), float(np.max(1.0 / np.abs(1.0 + loop)))
-    )
+    return Margins(gain_dB, float(min(phases)), float(omega[crossings[-1]]), float(np.max(1.0 / np.abs(1.0 + loop))))
 
 
 def _refined(omega: Real, loop: Complex) -> tuple[Real, Complex]:
     """Between measured frequencies: straight lines in Bode's plot."""
     logarithm = np.log(omega)
-    fine = np.concatenate(
-        [np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(logarithm)] + [logarithm[-1:]]
-    )
+    fine = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(logarithm)] + [logarithm[-1:]])
     magnitude = np.interp(fine, logarithm, np.log(np.abs(loop)))
     phase = np.interp(fine, logarithm, np.unwrap(np.angle(loop)))
     return np.exp(fine), np.asarray(np.exp(magnitude + 1j * phase), dtype=np.complex128)
@@ -184,12 +174,7 @@ class Tuner:
     """Designs for one joint. `inertia_ratios`: the joint's range of inertias over that of the measured pose."""
 
     def __init__(
-        self,
-        response: Response,
-        fit: MotorFit,
-        period_s: float,
-        filter_s: float,
-        inertia_ratios: Sequence[float] = (1.0,),
+        self, response: Response, fit: MotorFit, period_s: float, filter_s: float, inertia_ratios: Sequence[float] = (1.0,)
     ) -> None:
         self._response, self._fit, self._period_s, self._filter_s = response, fit, period_s, filter_s
         self._ratios = tuple(inertia_ratios)

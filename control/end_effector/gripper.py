@@ -58,9 +58,7 @@ FULL_STALL_s: Final = 0.5  # without an encoder only the current says that it st
 TRIM_per_s: Final = 2.0  # of the held current, which R alone gives to some 10 % (a warm winding)
 TRIM_MOST: Final = 0.3
 TIME_EXTRA_s: Final = 2.0  # beyond the travel at the speed limit
-END_SHARE: Final = (
-    0.01  # of the travel: this near its ends it is open or closed; thinner things are not noticed
-)
+END_SHARE: Final = 0.01  # of the travel: this near its ends it is open or closed; thinner things are not noticed
 END_LEAST_m: Final = 3e-4
 THERE_SHARE: Final = 0.0025  # of the travel: this near its goal it is there
 THERE_LEAST_m: Final = 1e-4
@@ -104,22 +102,16 @@ class GripperControl:
         if not gripper.encoder_counts_per_rev:
             raise ArmError("gripper: it has no encoder, so it can only open and close")
         if not 0.0 <= opening_m <= gripper.travel_m:
-            raise ArmError(
-                f"gripper: expected an opening of 0 to {gripper.travel_m:g} m (travel_m), got {opening_m:g} m"
-            )
+            raise ArmError(f"gripper: expected an opening of 0 to {gripper.travel_m:g} m (travel_m), got {opening_m:g} m")
         if self._zero_m is None:
-            raise ArmError(
-                "gripper: its opening is not known since power-up: `armwright gripper open` finds it"
-            )
+            raise ArmError("gripper: its opening is not known since power-up: `armwright gripper open` finds it")
         return force
 
     def ask(self, action: str, opening_m: float | None, force_N: float | None) -> None:
         """`action`: open, close or move (to `opening_m`). ArmError says why not, and then nothing changes."""
         force = self.require(opening_m, force_N)
         if self.state in (GripState.OFF, GripState.FAILED):
-            raise ArmError(
-                f"gripper: {self.why or GripState.OFF.value}: enable the drives first (`armwright enable`)"
-            )
+            raise ArmError(f"gripper: {self.why or GripState.OFF.value}: enable the drives first (`armwright enable`)")
         if action == "move" and opening_m is not None:
             sign = 1 if opening_m >= (self.opening_m or 0.0) else -1
             self._start(Goal(opening_m, force, sign))
@@ -147,9 +139,7 @@ class GripperControl:
         if is_early and (feedback.is_enabled or not is_ready):
             return None  # on its way to OPERATION ENABLED it is as quick as the joints' boards
         self._next_s = now_s + GRIPPER_PERIOD_s - 1e-6
-        elapsed_s = (
-            GRIPPER_PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * GRIPPER_PERIOD_s)
-        )
+        elapsed_s = GRIPPER_PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * GRIPPER_PERIOD_s)
         self._last_s = now_s
         self._listen(feedback)
         fault = None if is_off else self._trouble(now_s, is_ready, feedback)
@@ -174,11 +164,7 @@ class GripperControl:
             self._enabled_s = math.inf
         elif self.state is GripState.OFF and is_ready and self.feedback.is_enabled:
             self._settle(GripState.HOLDING, "")
-        elif (
-            is_fault
-            and self.described.on_fault == "release"
-            and self.state not in (GripState.OFF, GripState.FAILED)
-        ):
+        elif is_fault and self.described.on_fault == "release" and self.state not in (GripState.OFF, GripState.FAILED):
             self.state = GripState.RELEASED
         elif is_fault and self.state is GripState.MOVING:
             self._settle(GripState.STOPPED, "by a fault of the arm")
@@ -253,9 +239,7 @@ class GripperControl:
 
     def _volts(self, elapsed_s: float) -> float | None:
         """The voltage of this cycle; None: open circuit."""
-        if self.state is GripState.RELEASED or (
-            self.state is GripState.FAILED and self.described.on_fault == "release"
-        ):
+        if self.state is GripState.RELEASED or (self.state is GripState.FAILED and self.described.on_fault == "release"):
             return None
         if self.state is GripState.MOVING:
             return self._on_its_way(elapsed_s)
@@ -324,9 +308,7 @@ class GripperControl:
 
     def _arrive(self, goal: Goal) -> None:
         is_end = goal.opening_m in (0.0, self.described.travel_m)
-        self._settle(
-            (GripState.OPEN if goal.sign > 0 else GripState.CLOSED) if is_end else GripState.HOLDING, ""
-        )
+        self._settle((GripState.OPEN if goal.sign > 0 else GripState.CLOSED) if is_end else GripState.HOLDING, "")
 
     def _meet(self, goal: Goal) -> None:
         """Something stopped it: its own end, or what it is to hold."""
@@ -404,9 +386,7 @@ class PlacedGripper(GripperControl):
 
     def _place_m(self, elapsed_s: float) -> float | None:
         moved_m, goal = self.feedback.moved_m, self.goal
-        is_let_go = self.state is GripState.RELEASED or (
-            self.state is GripState.FAILED and self.described.on_fault == "release"
-        )
+        is_let_go = self.state is GripState.RELEASED or (self.state is GripState.FAILED and self.described.on_fault == "release")
         if is_let_go or math.isnan(moved_m):
             return None
         if self.state is GripState.GRIPPED and goal is not None and self._has_slipped(goal):

@@ -92,9 +92,7 @@ class Averaging:
             mean = self._orientation.mean()
             w, x, y, z = (value / math.hypot(*mean) for value in mean)
             orientation = (w, x, y, z)
-        return MeanPose(
-            self._tip_m.count, _vector(self._tip_m.mean()), _vector(self._tip_m.std()), orientation
-        )
+        return MeanPose(self._tip_m.count, _vector(self._tip_m.mean()), _vector(self._tip_m.std()), orientation)
 
     def _finish(self, direction: Sequence[int], count_rad: tuple[float, ...]) -> Average:
         target = self._target()

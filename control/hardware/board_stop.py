@@ -13,13 +13,9 @@ from control.model.arm import Arm, Drive
 STOP_AFTER_CYCLES: Final = 12
 STOP_AFTER_LEAST_S: Final = 0.01
 STOP_AFTER_MOST_S: Final = 0.05
-STAYS_AFTER_S: Final = (
-    0.01  # of boards that stay at the last position: the motion waits for them, and does not leap ahead
-)
+STAYS_AFTER_S: Final = 0.01  # of boards that stay at the last position: the motion waits for them, and does not leap ahead
 STAYING_STOP_S: Final = 0.05  # in which such a board has lost most of its speed
-HARDER: Final = (
-    2.0  # a board's stop brakes by this times the joint's acceleration limit, from its speed limit
-)
+HARDER: Final = 2.0  # a board's stop brakes by this times the joint's acceleration limit, from its speed limit
 
 BRAKED_STOP_S: Final = 0.04  # twice the time constant of shorted windings on the reference arm
 DEFAULT_STOP_S: Final = 0.1  # of an arm whose drives have no limits
@@ -69,10 +65,7 @@ def stop_after_s(period_s: float) -> float:
 
 def board_stop(arm: Arm, period_s: float) -> BoardStop:
     """The stop of an arm's boards, the same for all joints."""
-    times_s = [
-        drive.joint_speed_limit_rad_s / (HARDER * drive.joint_acceleration_limit_rad_s2)
-        for drive in arm.drives
-    ]
+    times_s = [drive.joint_speed_limit_rad_s / (HARDER * drive.joint_acceleration_limit_rad_s2) for drive in arm.drives]
     after_s = min(_after_s(arm, drive, period_s) for drive in arm.drives)
     if not all(can_hold(drive) and arm.kind_of(drive).can_hold for drive in arm.drives):
         return BoardStop(after_s, BRAKED_STOP_S)

@@ -99,9 +99,7 @@ class BoardHardware:
             raise self._problems.pop(0)
         return feedback
 
-    def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
-    ) -> None:  # fmt: skip
+    def write(self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]) -> None:
         """Command every drive, or take it one step closer to what is wanted; what that meets is raised by `read`.
 
         The gripper's follows with its next command.

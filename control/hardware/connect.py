@@ -93,9 +93,7 @@ def connect(
     """
     _require_wiring(arm)
     opened = Opened()
-    encoders = [
-        board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None
-    ]
+    encoders = [board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None]
     problems = None if shared_bus is None else Problems()
     motors = _motors(arm, clock, opened, shared_bus, problems)
     open_boards(arm, clock, period_s, opened)
@@ -163,9 +161,7 @@ def _add_reference(
 
 
 def _composed(arm: Arm, clock: Clock, opened: Opened, end: EndBoards) -> BoardHardware:
-    return BoardHardware(
-        len(arm.drives), opened.encoders, opened.drives, opened.lines, clock, opened.polled, _offers(arm), end
-    )
+    return BoardHardware(len(arm.drives), opened.encoders, opened.drives, opened.lines, clock, opened.polled, _offers(arm), end)
 
 
 def _offers(arm: Arm) -> frozenset[OutputMode]:
@@ -180,16 +176,12 @@ def _offers(arm: Arm) -> frozenset[OutputMode]:
 
 def _channels(arm: Arm, board: int) -> dict[int, int]:
     """The channel of each joint (0-based) on an encoder board."""
-    return {
-        joint: drive.encoder_channel for joint, drive in enumerate(arm.drives) if drive.encoder_board == board
-    }
+    return {joint: drive.encoder_channel for joint, drive in enumerate(arm.drives) if drive.encoder_board == board}
 
 
 def _require_wiring(arm: Arm) -> None:
     if len(arm.drives) != arm.joint_count:
-        raise MissingModel(
-            f"arm {arm.name}: {arm.joint_count} joints but {len(arm.drives)} [[drive]]: add the missing ones"
-        )
+        raise MissingModel(f"arm {arm.name}: {arm.joint_count} joints but {len(arm.drives)} [[drive]]: add the missing ones")
     if arm.can is None and not all(drive.board for drive in arm.drives):
         raise MissingModel(
             f"arm {arm.name}: no [can] bus for its motor boards: add it, or give --can-interface and --can-channel"
@@ -225,11 +217,7 @@ def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> 
 
 
 def _motors(
-    arm: Arm,
-    clock: Clock,
-    opened: Opened,
-    shared_bus: Callable[[CanBus], MotorBus] | None,
-    problems: list[LinkError] | None,
+    arm: Arm, clock: Clock, opened: Opened, shared_bus: Callable[[CanBus], MotorBus] | None, problems: list[LinkError] | None
 ) -> list[tuple[MotorBus, MotorBoard]]:
     """The reference motor boards, in the order of their drives; on a shared bus with a list of `problems` of their own."""
     drives = [drive for drive in arm.drives if not drive.board]
@@ -256,9 +244,7 @@ def _own_bus(can: CanBus, clock: Clock, opened: Opened) -> MotorBus:
     return MotorBus(link, clock)
 
 
-def _end_boards(
-    arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, opened: Opened
-) -> EndBoards:
+def _end_boards(arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, opened: Opened) -> EndBoards:
     """The gripper's board and the pins of all boards, checked against arm.toml."""
     gripper: GripperHardware | None = gripper_of(arm, opened)
     if not motors:
@@ -282,9 +268,7 @@ def _end_boards(
     return EndBoards(gripper, _pins(arm, bus, boards, failures))
 
 
-def _pins(
-    arm: Arm, bus: MotorBus, boards: Mapping[int, MotorBoard], failures: list[LinkError]
-) -> NamedPins | None:
+def _pins(arm: Arm, bus: MotorBus, boards: Mapping[int, MotorBoard], failures: list[LinkError]) -> NamedPins | None:
     """The pins; a board that was not found has failed already."""
     wanted = {pin.board for pin in arm.digital} & boards.keys()
     if not wanted:
@@ -299,8 +283,7 @@ def _pins(
 def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:
     if expected != got:
         raise WrongIdentity(
-            f"{where}: expected {expected} {what} (arm.toml, joint {joint}), got {got}; correct arm.toml, or the board's"
-            " settings"
+            f"{where}: expected {expected} {what} (arm.toml, joint {joint}), got {got}; correct arm.toml, or the board's settings"
         )
 
 

@@ -13,9 +13,7 @@ from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorFault, MotorParameter
 
-FULL_FORCE_AT_m = (
-    1e-3  # of the board's own hold: it pushes with the whole current at this distance from where it was
-)
+FULL_FORCE_AT_m = 1e-3  # of the board's own hold: it pushes with the whole current at this distance from where it was
 
 
 @dataclass(slots=True)
@@ -98,9 +96,7 @@ class CountedTravel:
 
     def __init__(self, gripper: Gripper) -> None:
         counts = gripper.encoder_counts_per_rev
-        self.m_per_count = (
-            gripper.motor_direction * gripper.travel_per_turn_m / counts if counts else math.nan
-        )
+        self.m_per_count = gripper.motor_direction * gripper.travel_per_turn_m / counts if counts else math.nan
         self._last: int | None = None
         self._moved = 0
 
@@ -127,12 +123,7 @@ class GripperBoard:
     """
 
     def __init__(
-        self,
-        gripper: Gripper,
-        board: MotorBoard,
-        problems: list[LinkError],
-        watchdog_s: float,
-        stop: BoardStop,
+        self, gripper: Gripper, board: MotorBoard, problems: list[LinkError], watchdog_s: float, stop: BoardStop
     ) -> None:
         """`problems`: those of this board alone. `watchdog_s`, `stop`: as of the joints' boards."""
         self._watchdog_s, self._stop = watchdog_s, stop

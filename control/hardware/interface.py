@@ -76,19 +76,13 @@ class Feedback:
 
     joint_count: int
     encoder_at_s: float = float("-inf")  # of the board with the oldest counts, on the host's clock
-    counted_at_s: list[float] = field(
-        default_factory=list
-    )  # when `count` was latched, on its board's own clock
-    count_late_s: list[float] = field(
-        default_factory=list
-    )  # by how much later it may have been: 0, if the board tells
+    counted_at_s: list[float] = field(default_factory=list)  # when `count` was latched, on its board's own clock
+    count_late_s: list[float] = field(default_factory=list)  # by how much later it may have been: 0, if the board tells
     # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
     reported_at_s: list[float] = field(default_factory=list)
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
-    shift_count: list[int] = field(
-        default_factory=list
-    )  # sum of `shift_count` calls that `count` already includes
+    shift_count: list[int] = field(default_factory=list)  # sum of `shift_count` calls that `count` already includes
     channel_flags: list[int] = field(default_factory=list)
     current_A: list[float] = field(default_factory=list)
     supply_V: list[float] = field(default_factory=list)
@@ -167,9 +161,7 @@ class Hardware(Protocol):
         """Drain the links into `feedback`. Raises, once per event, LinkLost, BoardReset or ProtocolViolation."""
         ...
 
-    def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
-    ) -> None:  # fmt: skip
+    def write(self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]) -> None:
         """Take every drive, the gripper's too, a step towards what is wanted, and command those in operation.
 
         `output` in V, A or rad, as each entry of `modes` says; in POSITION mode the board adds `feedforward_V`.

@@ -13,9 +13,7 @@ from control.model.joint_map import Unwrapper
 
 # Enough to smooth steps of one count; each millisecond more costs 5 degrees of phase margin.
 SPEED_FILTER_S = 0.001
-LONGEST_GAP_S = (
-    1.0  # between two reports; after a longer gap, or a step back in time, the speed filter is reset
-)
+LONGEST_GAP_S = 1.0  # between two reports; after a longer gap, or a step back in time, the speed filter is reset
 SHORTEST_s = 1e-6  # between two counts
 DIRECTION_STEP_rad = 2e-4  # a smaller motion is dither at a set-point, not an approach; nor is one count
 
@@ -63,11 +61,7 @@ class Measurement:
         self._last_s = [-math.inf] * n
 
     def update(
-        self,
-        counts: Sequence[int],
-        shifts: Sequence[int],
-        counted_at_s: Sequence[float],
-        late_s: Sequence[float] = (),
+        self, counts: Sequence[int], shifts: Sequence[int], counted_at_s: Sequence[float], late_s: Sequence[float] = ()
     ) -> bool:
         """Process the counts of the newest reports; an old report changes nothing.
 
@@ -78,28 +72,13 @@ class Measurement:
         added to each counter by request that this report includes. Returns whether a shift is new.
         """
         if not self._unwrappers:
-            self._unwrappers = [
-                Unwrapper(b, count) for b, count in zip(self._counter_bits, counts, strict=True)
-            ]
+            self._unwrappers = [Unwrapper(b, count) for b, count in zip(self._counter_bits, counts, strict=True)]
         is_shifted = self._follow_shifts(counts, shifts)
         late_s = late_s or self._on_time_s
-        angles_rad, speeds_rad_s, lates_s, turned_rad = (
-            self.q_rad, self.speed_rad_s, self._late_s, self._turning_point_rad,
-        )  # fmt: skip
+        angles_rad, speeds_rad_s, lates_s, turned_rad = (self.q_rad, self.speed_rad_s, self._late_s, self._turning_point_rad)
         last_s = self._last_s
-        joints = zip(
-            counts,
-            counted_at_s,
-            late_s,
-            self._maps,
-            self._unwrappers,
-            self._unseen_s,
-            self._fastest_rad_s,
-            strict=True,
-        )
-        for joint, (count, made_s, at_most_s, count_map, unwrapper, unseen_s, fastest_rad_s) in enumerate(
-            joints
-        ):
+        joints = zip(counts, counted_at_s, late_s, self._maps, self._unwrappers, self._unseen_s, self._fastest_rad_s, strict=True)
+        for joint, (count, made_s, at_most_s, count_map, unwrapper, unseen_s, fastest_rad_s) in enumerate(joints):
             elapsed_s = made_s - last_s[joint]
             if elapsed_s == 0.0:
                 continue
@@ -164,11 +143,7 @@ class MotorLeads:
     """
 
     def __init__(
-        self,
-        maps: Sequence[CountMap],
-        motor_maps: Sequence[CountMap | None],
-        bits: Sequence[int],
-        belt_ratio: float = 0.0,
+        self, maps: Sequence[CountMap], motor_maps: Sequence[CountMap | None], bits: Sequence[int], belt_ratio: float = 0.0
     ) -> None:
         """`motor_maps`: of the motors' own encoders, None where a joint has no second one; `bits`: of the joints' counters.
 
@@ -193,14 +168,8 @@ class MotorLeads:
             motor, seen = self._motor_maps[joint], self._seen[joint]
             if motor is None:
                 continue
-            joints, motors, first_rad = seen or (
-                Unwrapper(self._bits[joint], count),
-                Unwrapper(32, motor_count),
-                0.0,
-            )
-            lead_rad = motor.radians(motors.update(motor_count)) - self._maps[joint].radians(
-                joints.update(count)
-            )
+            joints, motors, first_rad = seen or (Unwrapper(self._bits[joint], count), Unwrapper(32, motor_count), 0.0)
+            lead_rad = motor.radians(motors.update(motor_count)) - self._maps[joint].radians(joints.update(count))
             if joint == COUPLED - 1:
                 lead_rad += self._belt_ratio * q_rad[COUPLED_TO - 1]
             if seen is None:
@@ -239,7 +208,4 @@ class RunningMean:
         n = self.count
         if n < 2:
             return tuple(0.0 for _ in self.first)
-        return tuple(
-            math.sqrt(max(0.0, s - t * t / n) / (n - 1))
-            for s, t in zip(self.squares, self.total, strict=True)
-        )
+        return tuple(math.sqrt(max(0.0, s - t * t / n) / (n - 1)) for s, t in zip(self.squares, self.total, strict=True))

@@ -18,9 +18,7 @@ from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter, SetpointMode
 
-REPORT_WAIT_S = (
-    0.05  # a stream runs at 500 Hz or more, and hosts pause for some 40 ms; longer where stale_s is
-)
+REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more, and hosts pause for some 40 ms; longer where stale_s is
 
 
 def start_stream(encoder: EncoderBoard, period_s: float) -> None:
@@ -36,9 +34,7 @@ class ReferenceEncoders:
 
     is_asked = False
 
-    def __init__(
-        self, board: EncoderBoard, channels: Mapping[int, int], clock: Clock, period_s: float, stale_s: float
-    ) -> None:
+    def __init__(self, board: EncoderBoard, channels: Mapping[int, int], clock: Clock, period_s: float, stale_s: float) -> None:
         """`channels`: the channel of each joint. `stale_s`: how long the arm bears a silent board."""
         self.joints = tuple(channels)
         self._board = board
@@ -137,16 +133,19 @@ class ReferenceDrives:
     """The motor boards of one bus; meets `control.hardware.roles.Drives` and `Line`."""
 
     def __init__(
-        self, arm: Arm, bus: MotorBus, wiring: Sequence[DriveWiring], clock: Clock, period_s: float,
+        self,
+        arm: Arm,
+        bus: MotorBus,
+        wiring: Sequence[DriveWiring],
+        clock: Clock,
+        period_s: float,
         problems: list[LinkError] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`problems`: those of these boards alone, if others on the bus belong to another arm."""
         self.joints = tuple(wired.joint for wired in wiring)
         self._bus, self._problems = bus, problems
         self._wiring = tuple(wiring)
-        self._pairs = tuple(
-            (wired.joint, wired.motor, float(wired.drive.motor_direction)) for wired in wiring
-        )
+        self._pairs = tuple((wired.joint, wired.motor, float(wired.drive.motor_direction)) for wired in wiring)
         self._motor_of = {wired.joint: wired.motor for wired in wiring}
         self._clock = clock
         self._period_s = period_s
@@ -155,8 +154,7 @@ class ReferenceDrives:
         self._board_stop = board_stop(arm, period_s)
         self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
         self._serial_numbers = {
-            wired.joint: None if wired.motor.identity is None else wired.motor.identity.serial_number
-            for wired in wiring
+            wired.joint: None if wired.motor.identity is None else wired.motor.identity.serial_number for wired in wiring
         }
         self._configured_resets = dict.fromkeys(self.joints, -1)
         self._position_offset_count = dict.fromkeys(self.joints, 0)
@@ -193,9 +191,13 @@ class ReferenceDrives:
             self._take_motor_count(*self._asked, feedback)
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Send one COMMAND to each board; a board not in its target state gets the next state command instead."""
         sent_V, is_on = feedback.sent_V, wanted.is_on
         for joint, motor, sign in self._pairs:
@@ -221,9 +223,7 @@ class ReferenceDrives:
         if is_on:
             self._ask_motor_count(feedback)
 
-    def _command(
-        self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float
-    ) -> None:
+    def _command(self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float) -> None:
         if mode is _VOLTAGE:
             motor.command_voltage(sign * output)
         elif mode is OutputMode.CURRENT:
@@ -237,10 +237,7 @@ class ReferenceDrives:
 
     def _board_count(self, joint: int, q_rad: float) -> int:
         """Set-point in counts of the motor board's own encoder, which counts up with positive voltage."""
-        return (
-            self._sense(self._of(joint).drive) * self._motor_maps[joint].count(q_rad)
-            + self._position_offset_count[joint]
-        )
+        return self._sense(self._of(joint).drive) * self._motor_maps[joint].count(q_rad) + self._position_offset_count[joint]
 
     def _take_motor_count(self, at: int, count: int, feedback: Feedback) -> None:
         """Pair the count of a motor board with that of the encoder board when it was asked for."""

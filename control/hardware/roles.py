@@ -119,9 +119,13 @@ class Drives(Protocol):
         ...
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Command every joint, or take its drive one step closer to what is wanted; notes `feedback.sent_V`.
 
         The board's own word says whether it is in operation. Only ENABLING takes it there: who left it otherwise stays out.
@@ -164,9 +168,7 @@ class Opened:
     encoders: list[Encoders] = field(default_factory=list)
     drives: list[Drives] = field(default_factory=list)
     lines: list[Line] = field(default_factory=list)
-    polled: list[AskedLine] = field(
-        default_factory=list
-    )  # of `lines`: those that live from being attended to
+    polled: list[AskedLine] = field(default_factory=list)  # of `lines`: those that live from being attended to
     identities: list[tuple[str, str]] = field(default_factory=list)  # where, what the board says of itself
     closers: list[Callable[[], None]] = field(default_factory=list)
     failures: list[LinkError] = field(default_factory=list)

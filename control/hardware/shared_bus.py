@@ -67,9 +67,7 @@ class CellConnection:
         self._buses.close()
 
 
-def connect_cell(
-    cell: Cell, clock: Clock, period_s: float, camera_ports: Mapping[str, int | None]
-) -> CellConnection:
+def connect_cell(cell: Cell, clock: Clock, period_s: float, camera_ports: Mapping[str, int | None]) -> CellConnection:
     """Connect every arm, as `control.hardware.connect.connect` does. ConnectionFailed names what failed of any arm."""
     buses = SharedBuses(clock)
     opened: dict[str, Connection] = {}
@@ -78,11 +76,7 @@ def connect_cell(
         for placed in cell.arms:
             try:
                 opened[placed.name] = connect(
-                    placed.arm,
-                    clock,
-                    period_s,
-                    camera_ports.get(placed.name),
-                    buses.bus if len(cell.arms) > 1 else None,
+                    placed.arm, clock, period_s, camera_ports.get(placed.name), buses.bus if len(cell.arms) > 1 else None
                 )
             except ConnectionFailed as error:
                 failures += error.failures

@@ -70,9 +70,7 @@ def _parallel_groups(chain: Sequence[ChainStep]) -> Iterator[list[ChainStep]]:
     yield group
 
 
-def _through_group(
-    group: Sequence[ChainStep], q: Sequence[Scalar], v: tuple[Scalar, ...]
-) -> tuple[Scalar, ...]:
+def _through_group(group: Sequence[ChainStep], q: Sequence[Scalar], v: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
     x, y, z = v
     if len(group) == 1 and group[0].axis == "x":
         c, s = cos(group[0].turn), sin(group[0].turn)
@@ -110,9 +108,7 @@ def checked_poses(q: ArrayLike, joint_count: int) -> Array:
     return poses
 
 
-def tips(
-    dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]
-) -> Array:
+def tips(dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]) -> Array:
     """Return the tips (m, 3) in the base frame of poses (m, n), for any DH table (links, 4)."""
     chain = steps(dh.tolist(), joints, convention)
     x, y, z = tip(chain, list(q.T), [float(a) for a in tool_m])
@@ -176,9 +172,7 @@ def tips_and_dh_jacobian(
     return slopes.tips, np.ascontiguousarray(slopes.by_dh)
 
 
-def tip_slopes(
-    dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]
-) -> TipSlopes:
+def tip_slopes(dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]) -> TipSlopes:
     """Return the tips of poses (m, n) and their derivatives by every DH parameter and by the tool."""
     slopes = np.empty((len(dh), 2, 2, 3, len(q)))  # link, axis z or x, move or turn: the order of a DH row
     axes = slopes[:, :, MOVE]
@@ -194,13 +188,7 @@ def tip_slopes(
 
 
 def _walk(
-    dh: Array,
-    q: Array,
-    joints: Sequence[bool],
-    convention: Convention,
-    tool_m: Sequence[float],
-    axes: Array,
-    origins: Array,
+    dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float], axes: Array, origins: Array
 ) -> tuple[Array, Array]:
     """Fill in each link's z and x axis and a point on each (links, 2, 3, m).
 

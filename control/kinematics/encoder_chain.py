@@ -96,11 +96,7 @@ class EncoderChain:
         """The joint's angle without the belt's share, and its first and second derivative by the encoder's."""
         gain, a, b = self._gain[j], self._sine[j], self._cosine[j]
         sine, cosine, table = sin(e), cos(e), self._table[j]
-        value, slope, bend = (
-            gain * e + a * sine + b * cosine,
-            gain + a * cosine - b * sine,
-            -a * sine - b * cosine,
-        )
+        value, slope, bend = (gain * e + a * sine + b * cosine, gain + a * cosine - b * sine, -a * sine - b * cosine)
         if table is None:
             return value, slope, bend
         own = table.derivatives(e)

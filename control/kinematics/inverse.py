@@ -116,9 +116,7 @@ class PlanarInverse:
         (ax, ay, az), (bx, by, bz), (cx, cy, cz) = self._rows
         return ax * x + ay * y + az * z, bx * x + by * y + bz * z, cx * x + cy * y + cz * z
 
-    def angles(
-        self, point: Sequence[Scalar], branch: Branch, root: Function = sqrt, arc: Function = acos
-    ) -> tuple[Scalar, ...]:
+    def angles(self, point: Sequence[Scalar], branch: Branch, root: Function = sqrt, arc: Function = acos) -> tuple[Scalar, ...]:
         """Return joint angles, not wrapped, for a point [m]; `root` and `arc` decide what happens out of reach."""
         x, y, z = self.local(point)
         w, l2, l3 = self._w, self.l2, self.l3
@@ -130,11 +128,7 @@ class PlanarInverse:
         if (branch.elbow == "up") == (branch.shoulder == "front"):
             bend = -bend
         upper = atan2(dz, du) - atan2(l3 * sin(bend), l2 + l3 * cos(bend))
-        return (
-            atan2(y, x) - atan2(w, u),
-            self._s2 * (self._b2 - upper),
-            self._s3 * (self._b3 - self._b2 - bend),
-        )
+        return (atan2(y, x) - atan2(w, u), self._s2 * (self._b2 - upper), self._s3 * (self._b3 - self._b2 - bend))
 
     def _compiled(self, branch: Branch) -> Callable[..., Joints]:
         graph = Graph()
@@ -207,9 +201,7 @@ class Axes:
 
 def _axes_at_zero(kinematics: ForwardKinematics) -> Axes:
     frames = kinematics.link_transforms(np.zeros((1, kinematics.joint_count)))[0]
-    ahead = (
-        0 if kinematics.convention == "standard" else 1
-    )  # the axis is z of the previous frame, or of the link's own
+    ahead = 0 if kinematics.convention == "standard" else 1  # the axis is z of the previous frame, or of the link's own
     turning = [link + ahead for link, turns in enumerate(kinematics.joints) if turns]
     tip = frames[-1] @ np.array([*kinematics.tool_m, 1.0])
     facing = frames[turning[0] + 1 - ahead, :3, 0]
@@ -238,11 +230,7 @@ class InverseKinematics:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        elbow_margin_rad: float = 0.05,
-        shoulder_margin_m: float = 0.01,
-        singular_margin_m: float = 0.005,
+        self, arm: Arm, elbow_margin_rad: float = 0.05, shoulder_margin_m: float = 0.01, singular_margin_m: float = 0.005
     ) -> None:
         self.kinematics = ForwardKinematics(arm)
         self._name = arm.name
@@ -403,9 +391,7 @@ class InverseKinematics:
             raise errors.out_of_reach(self._name, target, end.distance_m)
         return end.q
 
-    def _check_margins(
-        self, planar: PlanarInverse, point: Sequence[float], q: Sequence[float], branch: Branch
-    ) -> None:
+    def _check_margins(self, planar: PlanarInverse, point: Sequence[float], q: Sequence[float], branch: Branch) -> None:
         """Raise NearSingular if q is too close to a singular pose, or has left its branch through one."""
         shoulder_m, elbow_rad = planar.margins(q)
         if branch.shoulder == "back":
@@ -428,9 +414,7 @@ class InverseKinematics:
         for start in seeds(limits, [q_near, self._rest]):
             end = descend(self.kinematics, target, start, limits)
             is_first = best.distance_m == math.inf and self.moves_freely
-            if (
-                is_first and travel_rad(end.q, q_near) > pose_inverse.LONGEST_STEP_RAD
-            ):  # long steps may lead far away, or nowhere
+            if is_first and travel_rad(end.q, q_near) > pose_inverse.LONGEST_STEP_RAD:  # long steps may lead far away, or nowhere
                 ends = (self._by_short_steps(target, q_near), end)
                 end = min(ends, key=lambda e: (e.distance_m > enough_m, travel_rad(e.q, q_near)))
             best = min(best, end, key=lambda descent: descent.distance_m)

@@ -196,9 +196,7 @@ class PoseKinematics:
         steps = chain.steps(k.dh.tolist(), k.joints, k.convention)
         position = k.traced_tip(q)
         columns = [derivative(position, angle) for angle in q]
-        axes = [
-            _turned(steps[: place + 1], q, _Z) for place, step in enumerate(steps) if step.joint is not None
-        ]
+        axes = [_turned(steps[: place + 1], q, _Z) for place, step in enumerate(steps) if step.joint is not None]
         x, z = _turned(steps, q, _X), _turned(steps, q, _Z)
         rotation = tuple(zip(x, _cross(z, x), z, strict=True))
         linear, angular = zip(*columns, strict=True), zip(*axes, strict=True)
@@ -229,13 +227,9 @@ class Corners:
         """MissingModel if nothing of the arm moves: the tip and all frames lie on all axes."""
         rows, radii = tuple(map(tuple, arm.dh.tolist())), tuple(link.radius_m for link in arm.links)
         self._numbers = rows, arm.joints, arm.dh_convention, arm.tool.position_m, radii
-        self._inputs, self._outputs, self.first_free, self.radii_m, self.joints, self.start_m = _traced(
-            *self._numbers
-        )
+        self._inputs, self._outputs, self.first_free, self.radii_m, self.joints, self.start_m = _traced(*self._numbers)
         if not self._outputs:
-            raise MissingModel(
-                f"arm {arm.name}: no joint moves its tip or a link: check d_m and L_m of its links, and the tip"
-            )
+            raise MissingModel(f"arm {arm.name}: no joint moves its tip or a link: check d_m and L_m of its links, and the tip")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Corners) and self._numbers == other._numbers

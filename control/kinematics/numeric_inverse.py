@@ -41,9 +41,7 @@ def can_move_freely(kinematics: ForwardKinematics) -> bool:
     return n >= 3 and float(np.linalg.svd(rows, compute_uv=False)[:, -1].max()) > RANK_M
 
 
-def descend(
-    kinematics: ForwardKinematics, point: Sequence[float], start: Sequence[float], limits: Array
-) -> Descent:
+def descend(kinematics: ForwardKinematics, point: Sequence[float], start: Sequence[float], limits: Array) -> Descent:
     """Return the result of one descent to a tip position from `start` within limits (n, 2)."""
     target = np.asarray(point, dtype=np.float64)
 
@@ -94,9 +92,7 @@ def _inside(step: Array, q: Array, hessian: Array, gradient: Array, lower: Array
     return result
 
 
-def seeds(
-    limits: Array, first: Sequence[Sequence[float]], scattered: int = _SEEDS
-) -> Iterator[tuple[float, ...]]:
+def seeds(limits: Array, first: Sequence[Sequence[float]], scattered: int = _SEEDS) -> Iterator[tuple[float, ...]]:
     """Yield starting poses: those given, the middle of the ranges, then fixed random poses."""
     for q in first:
         yield tuple(q)

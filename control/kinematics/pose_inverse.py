@@ -147,9 +147,7 @@ def joint_rates(task: Task, jacobians: Array, tip_rates: Array, posture_rates: A
     if not task.nearest:
         return _held(exact, tip_rates[:, task.exact], posture_rates)
     count, n = len(task.exact), jacobians.shape[2]
-    held = (
-        _held(exact, tip_rates[:, task.exact], np.zeros_like(posture_rates)) if count else 0.0 * posture_rates
-    )
+    held = _held(exact, tip_rates[:, task.exact], np.zeros_like(posture_rates)) if count else 0.0 * posture_rates
     # columns that leave the exact rows alone
     free = np.swapaxes(np.linalg.svd(exact)[2][:, count:], 1, 2) if count else np.eye(n)[None]
     weight = np.array([TURN_LENGTH_M if row > 2 else 1.0 for row in task.nearest])

@@ -73,9 +73,7 @@ def not_turned(name: str, target: str, joint_count: int, off_rad: float) -> OutO
 
 def beyond_range(name: str, target: str, beyond_rad: float) -> OutOfReach:
     """Return the error for a target that only poses outside of the joints' ranges reach."""
-    message = (
-        f"arm {name}: {target} needs a joint {beyond_rad:.4f} rad beyond its range; choose another target"
-    )
+    message = f"arm {name}: {target} needs a joint {beyond_rad:.4f} rad beyond its range; choose another target"
     return OutOfReach(message, 0.0)
 
 
@@ -136,9 +134,7 @@ class JointRange:
 
 def turned_toward(q: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
     """Return q shifted by whole turns, each angle as near as possible to that of `q_near`."""
-    return tuple(
-        [a if -pi < a - b <= pi else a - _whole_turns_rad(a - b) for a, b in zip(q, q_near, strict=True)]
-    )
+    return tuple([a if -pi < a - b <= pi else a - _whole_turns_rad(a - b) for a, b in zip(q, q_near, strict=True)])
 
 
 def _whole_turns_rad(difference: float) -> float:

@@ -14,9 +14,7 @@ from typing import Self
 
 from control.model.maps import CorrectionMap
 
-Cubic = tuple[
-    float, float, float, float
-]  # coefficients of 1, t, t^2, t^3, with t from 0 to 1 between two nodes
+Cubic = tuple[float, float, float, float]  # coefficients of 1, t, t^2, t^3, with t from 0 to 1 between two nodes
 
 
 class SmoothTable:
@@ -24,9 +22,7 @@ class SmoothTable:
 
     __slots__ = ("_is_periodic", "_lower", "_pieces", "_step", "_upper", "_values")
 
-    def __init__(
-        self, values: Sequence[float], lower: float, upper: float, is_periodic: bool = False
-    ) -> None:
+    def __init__(self, values: Sequence[float], lower: float, upper: float, is_periodic: bool = False) -> None:
         self._values, self._is_periodic = tuple(values), is_periodic
         self._lower, self._upper = lower, upper
         self._pieces = pieces(values, is_periodic)
@@ -55,11 +51,7 @@ class SmoothTable:
         piece, t = self._place(x)
         a, b, c, d = self._pieces[piece]
         h = self._step
-        return (
-            a + t * (b + t * (c + t * d)),
-            (b + t * (2.0 * c + t * 3.0 * d)) / h,
-            (2.0 * c + 6.0 * t * d) / (h * h),
-        )
+        return (a + t * (b + t * (c + t * d)), (b + t * (2.0 * c + t * 3.0 * d)) / h, (2.0 * c + 6.0 * t * d) / (h * h))
 
     @property
     def largest(self) -> float:
@@ -81,12 +73,7 @@ def pieces(values: Sequence[float], is_periodic: bool = False) -> tuple[Cubic, .
     y, m = (*values, values[0]), (*slopes, slopes[0])
     count = len(values) if is_periodic else len(values) - 1
     return tuple(
-        (
-            y[i],
-            m[i],
-            3.0 * (y[i + 1] - y[i]) - 2.0 * m[i] - m[i + 1],
-            2.0 * (y[i] - y[i + 1]) + m[i] + m[i + 1],
-        )
+        (y[i], m[i], 3.0 * (y[i + 1] - y[i]) - 2.0 * m[i] - m[i + 1], 2.0 * (y[i] - y[i + 1]) + m[i] + m[i + 1])
         for i in range(count)
     )
 

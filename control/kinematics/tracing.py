@@ -78,9 +78,7 @@ class Symbol:
 
     __slots__ = ("arguments", "graph", "name", "number", "operation")
 
-    def __init__(
-        self, graph: "Graph", number: int, operation: str, arguments: tuple[Any, ...], name: str = ""
-    ) -> None:
+    def __init__(self, graph: "Graph", number: int, operation: str, arguments: tuple[Any, ...], name: str = "") -> None:
         self.graph = graph
         self.number = number
         self.operation = operation
@@ -312,9 +310,7 @@ def compile_function(
     """
     source = function_source(name, inputs, outputs)
     scope: dict[str, Any] = {f"_{function}": getattr(library, function) for function in FUNCTIONS}
-    exec(
-        compile(source, f"<traced {name}>", "exec"), scope
-    )  # the source is generated from numbers and names only
+    exec(compile(source, f"<traced {name}>", "exec"), scope)  # the source is generated from numbers and names only
     function: Callable[..., Any] = scope[name]
     return function
 
@@ -328,9 +324,7 @@ def function_source(name: str, inputs: Sequence[Symbol | Sequence[Symbol]], outp
     bound = [f"{function}=_{function}" for function in used]  # local lookups are faster than global ones
     lines = [f"def {name}({', '.join([*_parameters(inputs), *bound])}):"]
     lines += [
-        f"    {', '.join(s.name for s in group)}, = a{i}"
-        for i, group in enumerate(inputs)
-        if not isinstance(group, Symbol)
+        f"    {', '.join(s.name for s in group)}, = a{i}" for i, group in enumerate(inputs) if not isinstance(group, Symbol)
     ]
     for node in _in_order(flat):
         expression = _expression(node, text)

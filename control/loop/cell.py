@@ -59,9 +59,7 @@ class CellRuntime:
         self.runtimes = runtimes
         self.collisions = CollisionWatch(cell, runtimes)
         self._all: Sequence[Runtime] = tuple(runtimes.values())
-        self.joint_motions: list[
-            Mapping[str, int]
-        ] = []  # of each: the arms that began it, and their run then
+        self.joint_motions: list[Mapping[str, int]] = []  # of each: the arms that began it, and their run then
         self._in_fault: set[str] = set()
         polled = [runtime.parts.hardware for runtime in self._all if runtime.parts.hardware.is_polled]
         self._attended = polled or [self._all[0].parts.hardware]
@@ -125,23 +123,13 @@ class CellRuntime:
     def moving_beside(self, name: str) -> str:
         """The first other arm that may be in motion; empty if none is."""
         return next(
-            (
-                other
-                for other, runtime in self.runtimes.items()
-                if other != name and runtime.monitor.mode in MOVING_MODES
-            ),
-            "",
+            (other for other, runtime in self.runtimes.items() if other != name and runtime.monitor.mode in MOVING_MODES), ""
         )
 
     def in_fault_beside(self, name: str) -> str:
         """The first other arm in FAULT; empty if none is."""
         return next(
-            (
-                other
-                for other, runtime in self.runtimes.items()
-                if other != name and runtime.monitor.mode is Mode.FAULT
-            ),
-            "",
+            (other for other, runtime in self.runtimes.items() if other != name and runtime.monitor.mode is Mode.FAULT), ""
         )
 
     def in_one_motion(self, arm: str) -> tuple[str, ...]:
@@ -153,8 +141,7 @@ class CellRuntime:
         return tuple(
             name
             for name, run in began.items()
-            if self.runtimes[name].run_number == run
-            and self.runtimes[name].monitor.mode in (Mode.MOVING, Mode.PAUSED)
+            if self.runtimes[name].run_number == run and self.runtimes[name].monitor.mode in (Mode.MOVING, Mode.PAUSED)
         )
 
     def _end_together(self) -> None:
@@ -165,9 +152,7 @@ class CellRuntime:
     def _goes_on(self, began: Mapping[str, int]) -> bool:
         going = self._going(began)
         for name, run in began.items():
-            if name not in going and (
-                self.runtimes[name].run_number != run or self.runtimes[name].was_stopped
-            ):
+            if name not in going and (self.runtimes[name].run_number != run or self.runtimes[name].was_stopped):
                 for other in going:
                     self.runtimes[other].stop(f"arm {name!r}, which moves with it, was stopped")
                 return False

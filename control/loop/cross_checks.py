@@ -15,10 +15,7 @@ from control.safety.motor_checks import Lasting, SpeedCheck, TorqueCheck
 from control.servo.servo import Motor
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
-FRESH_REPLY, FRESH_COUNT = (
-    1.5,
-    3.0,
-)  # cycles; older values are of another moment than the voltage that was sent
+FRESH_REPLY, FRESH_COUNT = (1.5, 3.0)  # cycles; older values are of another moment than the voltage that was sent
 OPEN_CURRENT = 1.5  # of the current limit, where boards trip
 
 
@@ -51,15 +48,11 @@ class Joint:
         self.torque = TorqueCheck(limits.unexplained_torque * motor.current_limit_A)
         most_A = OPEN_CURRENT * motor.current_limit_A
         self.current = Lasting(-most_A, most_A, LASTS_S)
-        self.supply = Lasting(
-            limits.supply_low * motor.supply_V, limits.supply_high * motor.supply_V, LASTS_S
-        )
+        self.supply = Lasting(limits.supply_low * motor.supply_V, limits.supply_high * motor.supply_V, LASTS_S)
         self.temperature = Lasting(-math.inf, limits.temperature_degC, LASTS_S)
         self.was_outside = False
 
-    def limits_passed(
-        self, elapsed_s: float, supply_V: float, current_A: float, temperature_degC: float
-    ) -> list[Fault]:
+    def limits_passed(self, elapsed_s: float, supply_V: float, current_A: float, temperature_degC: float) -> list[Fault]:
         """The limits that a cycle's values have passed for long enough; notes whether any is outside."""
         faults = []
         if not self.supply.update(elapsed_s, supply_V):
@@ -90,12 +83,7 @@ class CrossChecks:
             joint.speed.forget()
 
     def look(
-        self,
-        now_s: float,
-        elapsed_s: float,
-        feedback: Feedback,
-        speed_rad_s: Sequence[float],
-        model_A: Sequence[float] | None,
+        self, now_s: float, elapsed_s: float, feedback: Feedback, speed_rad_s: Sequence[float], model_A: Sequence[float] | None
     ) -> list[Fault]:
         """Return the contradictions of this cycle. `model_A`: currents that the model expects; None: it expects nothing."""
         faults: list[Fault] = []
@@ -181,11 +169,7 @@ class MotorCountWatch:
     LATE_S = 0.007  # within which a board answers
 
     def __init__(
-        self,
-        counts_per_radian: Sequence[float],
-        counter_bits: Sequence[int],
-        names: Sequence[str],
-        has_two: Sequence[bool] = (),
+        self, counts_per_radian: Sequence[float], counter_bits: Sequence[int], names: Sequence[str], has_two: Sequence[bool] = ()
     ) -> None:
         """`counter_bits`: width of the encoder boards' counters; the motor boards have 32. `has_two`: see LeadWatch."""
         self._has_two = tuple(has_two) or (False,) * len(names)
@@ -240,9 +224,7 @@ class LeadWatch:
         for joint, lead in enumerate(lead_rad):
             if lead != lead:
                 continue
-            late_rad = self.LATE_S * abs(
-                speed_rad_s[joint]
-            )  # the two counts are of moments so far apart at most
+            late_rad = self.LATE_S * abs(speed_rad_s[joint])  # the two counts are of moments so far apart at most
             self._least_rad[joint] = min(self._least_rad[joint], lead + late_rad)
             self._most_rad[joint] = max(self._most_rad[joint], lead - late_rad)
             if self._most_rad[joint] - self._least_rad[joint] > self._slack_rad:

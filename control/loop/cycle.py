@@ -100,9 +100,7 @@ class Cycle(ArmState):
         try:
             self.parts.hardware.read()
         finally:  # one board that fails does not hide where the others' joints are
-            if self.parts.measurement.update(
-                feedback.count, feedback.shift_count, feedback.counted_at_s, feedback.count_late_s
-            ):
+            if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s, feedback.count_late_s):
                 set_points.follow_shift(self)
             if self.parts.checks.limit_switches.are_there:
                 self.parts.checks.limit_switches.mark_homes(self._levels(), feedback.channel_flags)
@@ -138,11 +136,16 @@ class Cycle(ArmState):
             q_set_rad = [q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)]
         is_controlled = self.is_controlled()
         found = watch.look(
-            self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
-            q_set_rad, aim.speed_rad_s, missed_in_row if is_controlled else 0,
+            self.now_s,
+            self.parts.hardware.feedback,
+            measured.q_rad,
+            measured.speed_rad_s,
+            q_set_rad,
+            aim.speed_rad_s,
+            missed_in_row if is_controlled else 0,
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
             Expectation(self.drives.is_ready, self.monitor.is_homed, is_controlled and self.bridge is None),
-        )  # fmt: skip
+        )
         for fault in (*found, *self._contradictions(), *self._at_limit_switches()):
             self.fail(fault)
 
@@ -178,9 +181,7 @@ class Cycle(ArmState):
         if self.has_missed:
             checks.motors.forget_speeds()
         model_A = parts.servo.model_A
-        faults += checks.motors.look(
-            self.now_s, self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A
-        )
+        faults += checks.motors.look(self.now_s, self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A)
         is_homed = self.monitor.is_homed
         parts.hardware.watch_indices(is_homed)
         passed = parts.hardware.passed_indices()
@@ -237,9 +238,7 @@ class Cycle(ArmState):
         """Gripper and outputs: they follow the drives on and off, and a fault of the arm."""
         parts, mode = self.parts, self.monitor.mode
         if parts.gripper is not None:
-            fault = parts.gripper.cycle(
-                self.now_s, self.drives.is_ready, mode is Mode.FAULT, mode in (Mode.OFF, Mode.HELD)
-            )
+            fault = parts.gripper.cycle(self.now_s, self.drives.is_ready, mode is Mode.FAULT, mode in (Mode.OFF, Mode.HELD))
             if fault is not None:
                 self.fail(fault)
         if parts.outputs is not None and self.drives.wanted is not Wanted.AS_FOUND:
@@ -277,9 +276,7 @@ class Cycle(ArmState):
     def _carry(self) -> None:
         """Apply gravity compensation."""
         measured = self.parts.measurement
-        amperes = self.parts.gravity_compensation.update(
-            set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s
-        )
+        amperes = self.parts.gravity_compensation.update(set_points.joints_standing(self, measured.q_rad), measured.speed_rad_s)
         self._write_all(OutputMode.CURRENT, amperes)
 
     def _record(self, late_s: float) -> None:
@@ -340,29 +337,42 @@ MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
 
 def row_of(state: ArmState, late_s: float) -> list[float]:
     """The values of the cycle that is about to end and began `late_s` after its deadline."""
-    feedback, measured, volts = (
-        state.parts.hardware.feedback,
-        state.parts.measurement,
-        state.parts.servo.volts,
-    )
+    feedback, measured, volts = (state.parts.hardware.feedback, state.parts.measurement, state.parts.servo.volts)
     mode, aim, lead_rad = state.monitor.mode, state.aim, state.parts.motor_leads.lead_rad
     page_faults, switches = state.punctuality.strain()
     age_s = state.now_s - feedback.encoder_at_s
     row = [
-        state.now_s, state.cycles & 0xFFFFFFFF, state.run_number, MODE_NUMBER[mode],
-        state.punctuality.missed, late_s, state.punctuality.end(), min(page_faults, COUNT_MOST),
-        min(switches, COUNT_MOST), age_s if age_s < math.inf else math.nan, state.stated_payload_kg, *state.new_camera_m,
-    ]  # fmt: skip
+        state.now_s,
+        state.cycles & 0xFFFFFFFF,
+        state.run_number,
+        MODE_NUMBER[mode],
+        state.punctuality.missed,
+        late_s,
+        state.punctuality.end(),
+        min(page_faults, COUNT_MOST),
+        min(switches, COUNT_MOST),
+        age_s if age_s < math.inf else math.nan,
+        state.stated_payload_kg,
+        *state.new_camera_m,
+    ]
     joints = set_points.joint_rad(state) if state.parts.joint_side is not None else None
     is_open = mode in OPEN_MODES
     for joint in range(feedback.joint_count):
         row += (
-            measured.q_rad[joint], aim.q_rad[joint],
-            measured.speed_rad_s[joint], aim.speed_rad_s[joint], feedback.count[joint],
-            math.nan if is_open else volts[joint], feedback.current_A[joint],
-            feedback.supply_V[joint], feedback.temperature_C[joint], feedback.statusword[joint],
-            feedback.drive_faults[joint], feedback.channel_flags[joint], feedback.counted_at_s[joint],
-        )  # fmt: skip
+            measured.q_rad[joint],
+            aim.q_rad[joint],
+            measured.speed_rad_s[joint],
+            aim.speed_rad_s[joint],
+            feedback.count[joint],
+            math.nan if is_open else volts[joint],
+            feedback.current_A[joint],
+            feedback.supply_V[joint],
+            feedback.temperature_C[joint],
+            feedback.statusword[joint],
+            feedback.drive_faults[joint],
+            feedback.channel_flags[joint],
+            feedback.counted_at_s[joint],
+        )
         if joints is not None:
             row += (joints[0][joint], joints[1][joint])
     row += [lead_rad[joint] for joint in state.parts.second_encoders]

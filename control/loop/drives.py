@@ -61,9 +61,7 @@ class DriveStates:
     def __init__(self, joint_names: Sequence[str]) -> None:
         self.wanted = Wanted.AS_FOUND
         self.is_ready = False
-        self.is_taken_over = (
-            False  # from the beginning of a take-over until all are in operation, or are late
-        )
+        self.is_taken_over = False  # from the beginning of a take-over until all are in operation, or are late
         self._names = joint_names
         self._since_s = math.inf
         self._unwanted_since_s = [math.inf] * len(joint_names)

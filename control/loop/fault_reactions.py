@@ -55,11 +55,7 @@ def _is_let_go(state: ArmState) -> bool:
 
 def _sharpened(state: ArmState, fault: Fault) -> Fault:
     """Escalate to braking if the arm does not even follow the stop."""
-    is_stop_lost = (
-        fault.code == "following_error"
-        and state.monitor.is_held_fault
-        and state.now_s > state.stillness.mode_from_s
-    )
+    is_stop_lost = fault.code == "following_error" and state.monitor.is_held_fault and state.now_s > state.stillness.mode_from_s
     return replace(fault, reaction=Reaction.BRAKE) if is_stop_lost else fault
 
 

@@ -30,9 +30,7 @@ HUNTS_counts, HUNTS_rad = 2, 1e-3
 SETTLE_S = 0.1
 SETTLE_LIMIT_S = 10.0
 SLOW_FRACTION = 0.3  # of the seeking speed, at the edge and the index that give the zero
-TURN_TOLERANCE = (
-    0.35  # of the encoder's turn, between the index and its position in arm.toml; half a turn is ambiguous
-)
+TURN_TOLERANCE = 0.35  # of the encoder's turn, between the index and its position in arm.toml; half a turn is ambiguous
 
 
 class Phase(Enum):
@@ -74,9 +72,7 @@ class JointHome:
     turn_rad: float  # from one index to the next
     count_rad: float
     index_count: int
-    repeat_counts: int = (
-        0  # of an absolute encoder, after which it says the same again: its place within them is known
-    )
+    repeat_counts: int = 0  # of an absolute encoder, after which it says the same again: its place within them is known
 
 
 class Counter(Protocol):
@@ -153,9 +149,7 @@ class JointHoming:
     def _seek(self, is_active: bool, elapsed_s: float) -> float:
         share = 1.0 if self._edge_rad is None else SLOW_FRACTION
         step = self._go(self._forth * self._home.speed_rad_s * share, elapsed_s)
-        self._check(
-            self._way_rad(), "its home switch never became active", "check the switch, its cam and its wire"
-        )
+        self._check(self._way_rad(), "its home switch never became active", "check the switch, its cam and its wire")
         if not is_active:
             return step
         if self._edge_rad is None:
@@ -193,11 +187,7 @@ class JointHoming:
         if self._counter.index_count(self._joint) is not None:
             self._check_turn()
             self._enter(Phase.SETTLE)
-        self._check(
-            self._two_turns_rad,
-            "no index pulse within two turns of the encoder",
-            "check the encoder's Z wire",
-        )
+        self._check(self._two_turns_rad, "no index pulse within two turns of the encoder", "check the encoder's Z wire")
         return step
 
     def _settle(self, count: int, elapsed_s: float) -> float:
@@ -255,9 +245,7 @@ class JointHoming:
     def _check(self, travel_rad: float, message: str, remedy: str) -> None:
         if abs(self._travelled_rad) > travel_rad:
             raise HomingFailed(
-                self._home.name,
-                f"{message} (moved {self._travelled_rad:.3f} rad, limit {travel_rad:.3f} rad)",
-                remedy,
+                self._home.name, f"{message} (moved {self._travelled_rad:.3f} rad, limit {travel_rad:.3f} rad)", remedy
             )
 
     def _go(self, speed_rad_s: float, elapsed_s: float) -> float:
@@ -320,9 +308,7 @@ class HomingSequence:
         return _with_joint(set_point, joint, step_rad, homing.speed_set_rad_s, homing.acceleration_set_rad_s2)
 
 
-def _with_joint(
-    set_point: SetPoint, joint: int, step_rad: float, speed_rad_s: float, acceleration_rad_s2: float
-) -> SetPoint:
+def _with_joint(set_point: SetPoint, joint: int, step_rad: float, speed_rad_s: float, acceleration_rad_s2: float) -> SetPoint:
     q, speed, acceleration = (list(values) for values in set_point)
     q[joint] += step_rad
     speed[joint] = speed_rad_s

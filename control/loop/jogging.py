@@ -145,27 +145,19 @@ class Jogging:
         if not self._objection:
             return wanted
         self._must_rest = True
-        self._motion = JointJog(
-            set_point, self._limits.joints
-        )  # the stop that was looked at with the last set-point
+        self._motion = JointJog(set_point, self._limits.joints)  # the stop that was looked at with the last set-point
         self._asked = None
         return self._motion.advance(elapsed_s)
 
     def take_up(self, set_point: SetPoint, bridge: Bridge) -> SetPoint:
         """Go on after a pause of the host in which the boards slowed the arm down."""
-        return (
-            set_point if self._motion is None else self._motion.take_up(bridge.motion_s, bridge.speed_share)
-        )
+        return set_point if self._motion is None else self._motion.take_up(bridge.motion_s, bridge.speed_share)
 
     def _begun(self, request: JogRequest, set_point: SetPoint) -> bool:
         """Whether the request could start at once; else the arm must first come to rest."""
         motion = self._motion
         is_step = isinstance(request, JointStep | TipStep)
-        if (
-            motion is not None
-            and (is_step or self._is_step or not _suits(motion, request))
-            and not motion.is_at_rest
-        ):
+        if motion is not None and (is_step or self._is_step or not _suits(motion, request)) and not motion.is_at_rest:
             return False
         if motion is None or not _suits(motion, request):
             motion = self._new(request, set_point)
@@ -190,9 +182,7 @@ class Jogging:
                     raise MotionError(f"jog: the tip cannot go there: {error}") from error
             motion.step(twist, request.speed)
         elif isinstance(request, TipVelocity):
-            motion.want(
-                self._in_base((*request.velocity_m_s, *request.turn_rad_s), request.of_tip, set_point)
-            )
+            motion.want(self._in_base((*request.velocity_m_s, *request.turn_rad_s), request.of_tip, set_point))
 
     def _in_base(self, twist: Sequence[float], of_tip: bool, set_point: SetPoint) -> Twist:
         a, b, c, d, e, f = twist

@@ -27,9 +27,7 @@ LOOKS_MOST = 24  # at a motion before it begins: 1.5 ms of the loop's time
 COARSE_S, FINE_S = 0.25, 0.02  # between them, in time of the motion
 DEEPER_m = 1e-6  # rounding
 FAR_m = 2.0  # beyond it gaps are not measured: some tenths of a second away at any speed
-REMEDY = (
-    "jog or guide one of the arms away; [[arm]] origin_m and clearance_m of the cell say how near they are"
-)
+REMEDY = "jog or guide one of the arms away; [[arm]] origin_m and clearance_m of the cell say how near they are"
 
 
 class GoingOn(NamedTuple):
@@ -46,14 +44,10 @@ class Presence:
     def __init__(self, placed: Placed, runtime: Runtime, tool_length_m: float) -> None:
         self.name, self.runtime = placed.name, runtime
         self._bodies = {
-            tool.name: ArmBody(
-                Placed(placed.arm.with_tool(tool.name), placed.origin_m, placed.orientation), tool_length_m
-            )
+            tool.name: ArmBody(Placed(placed.arm.with_tool(tool.name), placed.origin_m, placed.orientation), tool_length_m)
             for tool in placed.arm.tools
         }
-        self._clear_of_itself = {
-            tool.name: FarPoses(reaches_m(placed.arm.with_tool(tool.name))) for tool in placed.arm.tools
-        }
+        self._clear_of_itself = {tool.name: FarPoses(reaches_m(placed.arm.with_tool(tool.name))) for tool in placed.arm.tools}
         self._q_rad: Sequence[float] = ()
         self._of_body: ArmBody | None = None
         self._motion: Motion | None = None
@@ -191,9 +185,7 @@ class Neighbours:
             where = middle(own[nearest.one], own[nearest.other])
         return _State(time_s, (own, *all_others), least, what, where)
 
-    def gap(
-        self, body: ArmBody, own: Capsules, other: Presence, capsules: Capsules, within_m: float
-    ) -> Nearest:
+    def gap(self, body: ArmBody, own: Capsules, other: Presence, capsules: Capsules, within_m: float) -> Nearest:
         """How near a pose of this arm is to one of another."""
         key = (body, other.body)
         if key not in self._pairs:
@@ -218,12 +210,7 @@ class _State:
     __slots__ = ("arms", "room_m", "time_s", "what", "where")
 
     def __init__(
-        self,
-        time_s: float,
-        arms: Sequence[Capsules],
-        room_m: float,
-        what: str,
-        where: tuple[float, float, float],
+        self, time_s: float, arms: Sequence[Capsules], room_m: float, what: str, where: tuple[float, float, float]
     ) -> None:
         self.time_s, self.arms, self.room_m, self.what, self.where = time_s, arms, room_m, what, where
 
@@ -297,9 +284,7 @@ class CollisionWatch:
     """The arms of a cell against each other, once a cycle."""
 
     def __init__(self, cell: Cell, runtimes: Mapping[str, Runtime]) -> None:
-        self._presences = [
-            Presence(placed, runtimes[placed.name], cell.tool_length_m) for placed in cell.arms
-        ]
+        self._presences = [Presence(placed, runtimes[placed.name], cell.tool_length_m) for placed in cell.arms]
         self._clearance_m = cell.clearance_m
         self.of_arms = {
             own.name: Neighbours(own, [one for one in self._presences if one is not own], cell.clearance_m)

@@ -36,9 +36,7 @@ class Punctuality:
     the page faults and involuntary switches of this thread so far; without it they count as none.
     """
 
-    def __init__(
-        self, period_s: float, stopwatch_s: Callable[[], float], strain: Strain | None = None
-    ) -> None:
+    def __init__(self, period_s: float, stopwatch_s: Callable[[], float], strain: Strain | None = None) -> None:
         self.period_s = period_s
         self.missed = 0
         self._stopwatch_s = stopwatch_s

@@ -17,18 +17,8 @@ from firmware_iface.errors import BoardReset
 
 NO_GRIP_MODES = (Mode.OFF, Mode.HELD, Mode.BRAKED, Mode.FAULT)
 # Where an acknowledgement leads that the loop did not hold the arm.
-UNCONTROLLED = {
-    Wanted.AS_FOUND: Mode.HELD,
-    Wanted.DISABLED: Mode.OFF,
-    Wanted.ENABLING: Mode.BRAKED,
-    Wanted.ENABLED: Mode.BRAKED,
-}
-TOOL_MODES = (
-    Mode.OFF,
-    Mode.HELD,
-    Mode.BRAKED,
-    Mode.HOLDING,
-)  # in which nothing moves, so that the tip may be another one
+UNCONTROLLED = {Wanted.AS_FOUND: Mode.HELD, Wanted.DISABLED: Mode.OFF, Wanted.ENABLING: Mode.BRAKED, Wanted.ENABLED: Mode.BRAKED}
+TOOL_MODES = (Mode.OFF, Mode.HELD, Mode.BRAKED, Mode.HOLDING)  # in which nothing moves, so that the tip may be another one
 
 
 class Runtime(Cycle):
@@ -49,9 +39,7 @@ class Runtime(Cycle):
             raise ArmError(
                 f"{shutdown.HELD}, and is let go when their drives are reset: {shutdown.TAKES_OVER}, `armwright off` lets it go"
             )
-        if not is_left_held and (
-            are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault)
-        ):
+        if not is_left_held and (are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault)):
             self.has_waited = True
             try:
                 self.parts.hardware.reset_drive_faults()
@@ -89,9 +77,7 @@ class Runtime(Cycle):
         """State the mass in the gripper. ArmError if it is more than the arm may carry."""
         most_kg = self.parts.payload_limit_kg
         if not 0.0 <= mass_kg <= most_kg:
-            raise ArmError(
-                f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}"
-            )
+            raise ArmError(f"payload: expected mass_kg from 0 to {most_kg:g} kg ([limits] payload_limit_kg), got {mass_kg:g}")
         self.stated_payload_kg = mass_kg
         self.parts.loads.state(self.parts.tool.tool, mass_kg)
 
@@ -105,9 +91,7 @@ class Runtime(Cycle):
                 else f"tool: no tool {name!r}: arm.toml names none; add a [[tool]] for each, with a name"
             )
         if self.monitor.mode not in TOOL_MODES:
-            raise ArmError(
-                f"the arm is {self.monitor.mode.name}, so its tool cannot be changed: it must hold at rest, or be off"
-            )
+            raise ArmError(f"the arm is {self.monitor.mode.name}, so its tool cannot be changed: it must hold at rest, or be off")
         self.parts = self.parts.with_tool(name)
         self.parts.loads.state(self.parts.tool.tool, self.stated_payload_kg)
 

@@ -31,10 +31,7 @@ def measured(state: ArmState) -> SetPoint:
 
 def stay(state: ArmState) -> None:
     """Let the set-point follow the arm while nothing is controlled."""
-    state.set_point, state.is_of_encoders = (
-        at_rest(joints_standing(state, state.parts.measurement.q_rad)),
-        False,
-    )
+    state.set_point, state.is_of_encoders = (at_rest(joints_standing(state, state.parts.measurement.q_rad)), False)
 
 
 def rest(state: ArmState) -> None:
@@ -55,9 +52,7 @@ def take(state: ArmState, wanted: SetPoint) -> Clip | None:
         state.set_point = wanted
         return None
     last = state.set_point
-    allowed = limit_set_point(
-        wanted.q_rad, last.q_rad, last.speed_rad_s, state.parts.set_point_limits, state.elapsed_s
-    )
+    allowed = limit_set_point(wanted.q_rad, last.q_rad, last.speed_rad_s, state.parts.set_point_limits, state.elapsed_s)
     if not allowed.reasons:
         state.set_point = wanted
         return None
@@ -90,9 +85,7 @@ def aim(state: ArmState) -> Clip | None:
         state.aim = wanted
         return None
     last = state.aim
-    allowed = limit_set_point(
-        wanted.q_rad, last.q_rad, last.speed_rad_s, state.parts.aim_limits, state.elapsed_s
-    )
+    allowed = limit_set_point(wanted.q_rad, last.q_rad, last.speed_rad_s, state.parts.aim_limits, state.elapsed_s)
     if not allowed.reasons:
         state.aim = wanted
         return None

@@ -70,9 +70,7 @@ def has_left(state: ArmState) -> bool:
 def require_staying(state: ArmState) -> None:
     """ArmError while the arm goes on or off by itself: nothing else begins then."""
     if state.bound.is_off:
-        raise ArmError(
-            "the arm is being switched off, so nothing begins: wait until it is off, then enable it"
-        )
+        raise ArmError("the arm is being switched off, so nothing begins: wait until it is off, then enable it")
     if state.bound.is_hold:
         raise ArmError(f"the arm is being {state.bound.value}, so nothing begins: wait until it holds")
 

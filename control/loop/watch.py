@@ -22,10 +22,7 @@ DRIVE_FAULTS = {
     2: ("supply too low", "check the supply and the emergency-stop switch"),
     3: ("supply too high", "a braking motor feeds the supply: add a brake resistor"),
     4: ("watchdog", "the board received no command in time: check for late cycles, and the CAN cable"),
-    5: (
-        "its encoder, or it did not follow",
-        "check the motor encoder's cable at the drive, and for a blocked joint",
-    ),
+    5: ("its encoder, or it did not follow", "check the motor encoder's cable at the drive, and for a blocked joint"),
     6: ("bad command", "firmware and program do not match: compare protocol versions"),
     7: ("emergency stop", "release the emergency stop when it is safe"),
 }
@@ -128,10 +125,7 @@ class Watch:
         is_in_order = (
             self._are_boards_well(now_s, feedback, expected)
             and missed_in_row <= self._limits.missed_in_row
-            and (
-                not expected.is_servoing
-                or self._is_motion_well(q_rad, speed_rad_s, q_set_rad, expected.is_homed)
-            )
+            and (not expected.is_servoing or self._is_motion_well(q_rad, speed_rad_s, q_set_rad, expected.is_homed))
         )
         if is_in_order:
             return []
@@ -141,13 +135,7 @@ class Watch:
         if expected.is_servoing:
             for joint, limit in enumerate(self._limits.joints):
                 faults += self._motion(
-                    joint,
-                    limit,
-                    q_rad[joint],
-                    speed_rad_s[joint],
-                    q_set_rad[joint],
-                    speed_set_rad_s[joint],
-                    expected,
+                    joint, limit, q_rad[joint], speed_rad_s[joint], q_set_rad[joint], speed_set_rad_s[joint], expected
                 )
         if missed_in_row > self._limits.missed_in_row:
             faults.append(self._late(missed_in_row))
@@ -157,14 +145,10 @@ class Watch:
         elapsed_s, self._lag_at_s = now_s - self._lag_at_s, now_s
         self._lag_rad = [
             allowed_lag(speed, limit.following_error_per_speed_s, before_rad, elapsed_s)
-            for speed, limit, before_rad in zip(
-                speed_set_rad_s, self._limits.joints, self._lag_rad, strict=True
-            )
+            for speed, limit, before_rad in zip(speed_set_rad_s, self._limits.joints, self._lag_rad, strict=True)
         ]
 
-    def miscounts(
-        self, leap_rad: Sequence[float], has_lost_turns: Sequence[bool], is_homed: bool
-    ) -> list[Fault]:
+    def miscounts(self, leap_rad: Sequence[float], has_lost_turns: Sequence[bool], is_homed: bool) -> list[Fault]:
         """A fault for each joint whose count changed faster than its motor can turn, or may have wrapped unseen."""
         faults = self._leaps(leap_rad) if any(leap_rad) else []
         return faults + self._lost_turns(has_lost_turns) if is_homed and True in has_lost_turns else faults
@@ -313,8 +297,7 @@ class Watch:
             yield Fault(
                 "following_error",
                 self._names[joint],
-                f"following error {error_rad:.4f} rad (limit {allowed_rad:.4f} rad at"
-                f" {speed_set_rad_s:.2f} rad/s)",
+                f"following error {error_rad:.4f} rad (limit {allowed_rad:.4f} rad at {speed_set_rad_s:.2f} rad/s)",
                 "check for a collision, a loose belt or a load beyond the current limit",
                 Reaction.CONTROLLED,
             )
@@ -345,9 +328,7 @@ def faults_of_drive(joint_name: str, bits: int) -> Iterator[Fault]:
     """A fault for each bit of what a drive reports."""
     for bit, (name, remedy) in DRIVE_FAULTS.items() if bits else ():
         if bits >> bit & 1:
-            yield Fault(
-                "drive_fault", joint_name, f"its drive reports a fault: {name}", remedy, Reaction.HOLD
-            )
+            yield Fault("drive_fault", joint_name, f"its drive reports a fault: {name}", remedy, Reaction.HOLD)
 
 
 def _silent_encoder(joints: str, age_s: float, limit_s: float) -> Fault:

@@ -53,24 +53,17 @@ class Limits:
         NonNegative, rules.BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
     ] = 0.0
     watchdog_s: Annotated[
-        float,
-        rules.WATCHDOG,
-        "a board without commands for this long goes to FAULT; hosts pause for 40 to 170 ms",
+        float, rules.WATCHDOG, "a board without commands for this long goes to FAULT; hosts pause for 40 to 170 ms"
     ] = 0.2
     stale_s: Annotated[float, rules.STALE, "an older value is a fault"] = 0.02
-    jog_tip_speed_m_s: Annotated[
-        Positive, rules.TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"
-    ] = 0.25
+    jog_tip_speed_m_s: Annotated[Positive, rules.TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"] = 0.25
     payload_limit_kg: Annotated[NonNegative, rules.PAYLOAD, "largest that a client may state"] = 5.0
-    jog_silence_s: Annotated[
-        Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
-    ] = 0.2
-    speed_contradiction_rad_s: Annotated[
-        Positive, rules.JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"
-    ] = 0.02
+    jog_silence_s: Annotated[Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"] = 0.2
+    speed_contradiction_rad_s: Annotated[Positive, rules.JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"] = (
+        0.02
+    )
     transmission_slack_rad: Annotated[
-        NonNegative,
-        "play and springs between motor and joint: by so much they may differ, where an encoder is on the joint",
+        NonNegative, "play and springs between motor and joint: by so much they may differ, where an encoder is on the joint"
     ] = 0.05
     unexplained_torque: Annotated[Positive, "share of the torque at the current limit (docs/safety.md)"] = 0.3
     supply_low: Annotated[float, rules.SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
@@ -86,8 +79,7 @@ class RecordingPolicy:
     keep_bytes: Annotated[
         int,
         rules.ZERO_OR_MORE,
-        "above this total the oldest recordings of this arm are removed; 0: none is ever removed; at least"
-        " twice rotate_bytes",
+        "above this total the oldest recordings of this arm are removed; 0: none is ever removed; at least twice rotate_bytes",
     ] = 0
     unrecorded: Annotated[
         Literal["refuse", "allow"],
@@ -107,9 +99,7 @@ Position = Annotated[Vector3, rules.POSITION]
 class Link:
     """One row of the DH table, and the body that moves with its frame (no mass: unknown)."""
 
-    joint: Annotated[
-        Literal["revolute", "fixed"], "what moves the row: a joint, numbered from the base, or nothing"
-    ]
+    joint: Annotated[Literal["revolute", "fixed"], "what moves the row: a joint, numbered from the base, or nothing"]
     d_m: Annotated[float, rules.LENGTH, "offset along z"]
     theta_rad: Annotated[float, rules.ANGLE, "angle about z; a joint's angle adds to it"]
     L_m: Annotated[float, rules.LENGTH, "length along x"]
@@ -120,22 +110,16 @@ class Link:
         tuple[NonNegative, NonNegative, NonNegative] | None,
         "moments about the centre of mass, along the axes of this link's frame",
     ] = None
-    radius_m: Annotated[
-        NonNegative, "of its body, for floor, table and own base; 0: a line. The tip is a point"
-    ] = 0.0
+    radius_m: Annotated[NonNegative, "of its body, for floor, table and own base; 0: a line. The tip is a point"] = 0.0
     joint_name: Annotated[str, rules.PART_NAME, "in messages and exported models", '"joint N"'] = ""
-    link_name: Annotated[
-        str, rules.PART_NAME, "of its body in exported models; of a fixed first or last row, base or tip"
-    ] = ""
+    link_name: Annotated[str, rules.PART_NAME, "of its body in exported models; of a fixed first or last row, base or tip"] = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
     """The calibration table (points: `control.model.table`)."""
 
-    origin_m: Annotated[
-        Position | None, "the board's centre in the base frame; required unless known_pose is false"
-    ] = None
+    origin_m: Annotated[Position | None, "the board's centre in the base frame; required unless known_pose is false"] = None
     circle_radius_m: Annotated[Positive | None, rules.BOARD_SIZE, "of the circle of cavities"] = None
     circle_points: Annotated[int, rules.ZERO_OR_MORE, "cavities on it, counter-clockwise from +x"] = 0
     line_points: Annotated[int, rules.ZERO_OR_MORE, "cavities on the line along x"] = 0
@@ -143,9 +127,9 @@ class Table:
     roll_tilt_rad: Annotated[float, rules.TILT, "of the setup `roll`, about the board's x axis"] = 0.0
     pitch_tilt_rad: Annotated[float, rules.TILT, "of the setup `pitch`, about its y axis"] = 0.0
     known_pose: Annotated[bool, "false: where the board stands is identified, per setup"] = True
-    cavities_m: Annotated[
-        Mapping[str, Position], "further cavities in the board's frame, `{ name = [x, y, z], ... }`"
-    ] = field(default_factory=dict)
+    cavities_m: Annotated[Mapping[str, Position], "further cavities in the board's frame, `{ name = [x, y, z], ... }`"] = field(
+        default_factory=dict
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +148,7 @@ class EncoderBoardPort:
     name: Annotated[str, "in messages; each board's own"]
     port: Annotated[str, "a device or any pyserial URL"]
     baud: Annotated[int, rules.ONE_OR_MORE, "of the port"] = 1_000_000
-    serial_number: Annotated[
-        Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"
-    ] = None
+    serial_number: Annotated[Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,8 +161,7 @@ class Board:
     port: Annotated[str, "on a serial line: a device or any pyserial URL; boards may share it"] = ""
     baud: Annotated[int, rules.ONE_OR_MORE, "of that port"] = 115_200
     absolute: Annotated[
-        bool,
-        "its encoder knows the joint's angle at power-up, which its kind does not ensure: see the kind's page",
+        bool, "its encoder knows the joint's angle at power-up, which its kind does not ensure: see the kind's page"
     ] = False
     absolute_turns: Annotated[
         Positive | None,
@@ -235,9 +216,7 @@ class Arm:
     encoder_boards: Annotated[tuple[EncoderBoardPort, ...], "three channels each"] = field(
         default=(), metadata={"key": "encoder_board"}
     )
-    boards: Annotated[tuple[Board, ...], "bought boards that drive joints"] = field(
-        default=(), metadata={"key": "board"}
-    )
+    boards: Annotated[tuple[Board, ...], "bought boards that drive joints"] = field(default=(), metadata={"key": "board"})
     can: Annotated[CanBus | None, ""] = None
     rest: Annotated[Rest | None, ""] = None
     limits: Annotated[Limits, ""] = USUAL_LIMITS
@@ -297,9 +276,7 @@ class Arm:
 
         table = np.asarray(dh, dtype=np.float64)
         if table.shape != (len(self.links), 4) or not np.isfinite(table).all():
-            raise ArmError(
-                f"arm {self.name}: expected a finite DH table ({len(self.links)}, 4), got {table.shape}"
-            )
+            raise ArmError(f"arm {self.name}: expected a finite DH table ({len(self.links)}, 4), got {table.shape}")
         links = tuple(
             dataclasses.replace(link, d_m=d, theta_rad=theta, L_m=length, alpha_rad=alpha)
             for link, (d, theta, length, alpha) in zip(self.links, table.tolist(), strict=True)
@@ -312,9 +289,7 @@ class Arm:
             if drive.joint == joint:
                 return drive
         has = ", ".join(str(drive.joint) for drive in self.drives) or "none"
-        raise MissingModel(
-            f"arm {self.name}: joint {joint} has no [[drive]] (joints with a drive: {has}); add one"
-        )
+        raise MissingModel(f"arm {self.name}: joint {joint} has no [[drive]] (joints with a drive: {has}); add one")
 
     def is_behind_encoder(self, effect: str, joint: int | None) -> bool:
         """Return whether an effect, by the key `joint` of its [[effect]], is between an encoder and its joint, or beyond.
@@ -401,9 +376,7 @@ class Arm:
     @property
     def boards_rate_Hz(self) -> float:
         """What the slowest kind of its boards carries."""
-        return min(
-            (self.kind_of(drive).usual_rate_Hz for drive in self.motors), default=REFERENCE.usual_rate_Hz
-        )
+        return min((self.kind_of(drive).usual_rate_Hz for drive in self.motors), default=REFERENCE.usual_rate_Hz)
 
     @property
     def limits_rad(self) -> tuple[tuple[float, float], ...]:

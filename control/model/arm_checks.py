@@ -55,9 +55,7 @@ def _check_stream(stream: CameraStream) -> None:
     if stream.body == stream.base_body:
         raise Rejected((*path, "base_body"), "another body than `body`", f'"{stream.base_body}"')
     if stream.system != "vicon" and not stream.host:
-        raise Rejected(
-            (*path, "host"), f"the computer that {stream.system} streams from: name or address", "none"
-        )
+        raise Rejected((*path, "host"), f"the computer that {stream.system} streams from: name or address", "none")
 
 
 def _check_names(arm: Arm) -> None:
@@ -122,8 +120,7 @@ def _check_wiring(arm: Arm) -> None:
     drives = list(enumerate(arm.drives))
     _check_unique(((("drive", i, "joint"), drive.joint) for i, drive in drives), "one [[drive]] per joint")
     _check_unique(
-        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives if not drive.board),
-        "one joint per motor node",
+        ((("drive", i, "motor_node"), drive.motor_node) for i, drive in drives if not drive.board), "one joint per motor node"
     )
     _check_unique(
         (
@@ -147,9 +144,7 @@ def _check_wiring(arm: Arm) -> None:
 def _check_boards(arm: Arm) -> None:
     """The [[board]]s, and what drives say of them."""
     boards = list(enumerate(arm.boards))
-    _check_unique(
-        ((("board", i, "name"), board.name) for i, board in boards), "a unique name for every board"
-    )
+    _check_unique(((("board", i, "name"), board.name) for i, board in boards), "a unique name for every board")
     for i, board in boards:
         kind = KINDS[board.kind]
         if board.address not in kind.addresses:
@@ -196,17 +191,13 @@ def _check_lines(boards: Sequence[tuple[int, Board]]) -> None:
             raise Rejected(("board", i, "address"), expected, str(board.address))
         if KINDS[board.kind].line == "can":
             if board.port:
-                raise Rejected(
-                    ("board", i, "port"), f"none: a {board.kind} is on the bus of [can]", board.port
-                )
+                raise Rejected(("board", i, "port"), f"none: a {board.kind} is on the bus of [can]", board.port)
             continue
         if not board.port:
             raise Rejected(("board", i, "port"), f"the serial port of a {board.kind}", "nothing")
         first = first_on.setdefault(board.port, board)
         if first.kind != board.kind:
-            expected = (
-                f"a port of its own: {first.name} on this one is a {first.kind}, which speaks otherwise"
-            )
+            expected = f"a port of its own: {first.name} on this one is a {first.kind}, which speaks otherwise"
             raise Rejected(("board", i, "port"), expected, board.port)
         if first.baud != board.baud:
             expected = f"{first.baud}, as {first.name} on the same port"
@@ -254,11 +245,7 @@ def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str 
         expected = f"a range below {turn_rad:.4g} rad: the encoder knows its place within one turn, {turn_rad:.4g} rad here"
         got = f"{lower:g} to {upper:g} rad"
         remedy = "narrow joint_lower_rad and joint_upper_rad"
-        key, ratio = (
-            ("gear_ratio", drive.gear_ratio)
-            if drive.encoder_on == "motor"
-            else ("encoder_ratio", drive.encoder_ratio)
-        )
+        key, ratio = ("gear_ratio", drive.gear_ratio) if drive.encoder_on == "motor" else ("encoder_ratio", drive.encoder_ratio)
         if ratio != 1.0:
             remedy += f"; {key} = {ratio:g} is of gears between that encoder and the joint"
             if kind.is_absolute:
@@ -270,9 +257,7 @@ def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str 
     counts = sorted((mapped.count(lower), mapped.count(upper)))
     if counts[0] < first or counts[1] > last:
         ends = sorted((mapped.radians(first), mapped.radians(last)))
-        expected = (
-            f"a range within the servo's counts {first} to {last}, here {ends[0]:.4g} to {ends[1]:.4g} rad"
-        )
+        expected = f"a range within the servo's counts {first} to {last}, here {ends[0]:.4g} to {ends[1]:.4g} rad"
         got = f"{lower:g} to {upper:g} rad, counts {counts[0]} to {counts[1]}"
         middle = drive.zero_count + round((first + last - sum(counts)) / 2)
         remedy = f"narrow the range, or fit the servo's horn so that zero_count is about {middle}"
@@ -296,25 +281,18 @@ def _check_end(arm: Arm) -> None:
     for i, pin in enumerate(arm.digital):
         if pin.board not in nodes:
             known = ", ".join(str(node) for node in sorted(nodes)) or "none"
-            raise Rejected(
-                ("digital", i, "board"), f"the motor_node of a drive or the gripper: {known}", str(pin.board)
-            )
+            raise Rejected(("digital", i, "board"), f"the motor_node of a drive or the gripper: {known}", str(pin.board))
         if pin.direction == "input" and pin.safe != "low":
             raise Rejected(("digital", i, "safe"), "no safe level: an input has none", pin.safe)
     _check_unique(
-        ((("digital", i, "name"), pin.name) for i, pin in enumerate(arm.digital)),
-        "a unique name for every [[digital]]",
+        ((("digital", i, "name"), pin.name) for i, pin in enumerate(arm.digital)), "a unique name for every [[digital]]"
     )
     _check_unique(
         ((("digital", i, "pin"), (pin.board, pin.pin)) for i, pin in enumerate(arm.digital)),
         "one [[digital]] per pin (board, pin)",
     )
     if len(arm.digital) > DIGITAL_MOST:
-        raise Rejected(
-            ("digital",),
-            f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)",
-            str(len(arm.digital)),
-        )
+        raise Rejected(("digital",), f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)", str(len(arm.digital)))
 
 
 def _check_limit_switches(arm: Arm) -> None:
@@ -400,9 +378,7 @@ def _check_gripper_board(arm: Arm, gripper: Gripper) -> None:
         expected = f"the counts a turn that a {board.kind} sends (docs/{board.kind}.md)"
         raise Rejected(("gripper", "encoder_counts_per_rev"), expected, "0")
     if gripper.on_fault == "release" and not kind.can_free:
-        raise Rejected(
-            ("gripper", "on_fault"), f'"hold": a {board.kind} cannot open a motor\'s circuit', "release"
-        )
+        raise Rejected(("gripper", "on_fault"), f'"hold": a {board.kind} cannot open a motor\'s circuit', "release")
 
 
 def _check_unique(items: Iterable[Named], expected: str) -> None:
@@ -426,9 +402,7 @@ def _check_rest(arm: Arm) -> None:
     path = ("rest", "q_rad")
     if len(arm.rest.q_rad) != arm.joint_count:
         raise Rejected(path, f"{arm.joint_count} joint angles", f"{len(arm.rest.q_rad)} of them")
-    for joint, (angle, (lower, upper)) in enumerate(
-        zip(arm.rest.q_rad, arm.limits_rad, strict=True), start=1
-    ):
+    for joint, (angle, (lower, upper)) in enumerate(zip(arm.rest.q_rad, arm.limits_rad, strict=True), start=1):
         if not lower <= angle <= upper:
             expected = f"joint {joint} within its limits, {lower} to {upper} rad"
             raise Rejected(path, expected, str(angle))
@@ -465,6 +439,5 @@ def _check_maps(arm: Arm) -> None:
 
         check_map(one, arm.joint_count, driven, fault)
     _check_unique(
-        ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)),
-        "each map once per joint",
+        ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)), "each map once per joint"
     )

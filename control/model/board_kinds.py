@@ -23,34 +23,22 @@ class BoardKind:
     usual_rate_Hz: float  # of the loop
     motors: int = 1  # on one board
     has_encoder: bool = True  # its own, which the loop can use
-    is_absolute: bool = (
-        False  # that encoder knows its place within one turn at power-up: there is nothing to home
-    )
-    stops_early: bool = (
-        False  # begins its own stop some cycles after the last command, not only at its watchdog
-    )
+    is_absolute: bool = False  # that encoder knows its place within one turn at power-up: there is nothing to home
+    stops_early: bool = False  # begins its own stop some cycles after the last command, not only at its watchdog
     limits_force: bool = False  # in position mode, to what the host says: it can drive a gripper
-    limits_current: bool = (
-        False  # it takes `current_limit_A` from the host; else its own settings alone limit the current
-    )
+    limits_current: bool = False  # it takes `current_limit_A` from the host; else its own settings alone limit the current
     needs_fd: bool = False  # it speaks CAN FD alone
     needs_own_bus: bool = False  # takes reference boards' frames for its own, and they take its
-    uses_other_encoder: bool = (
-        True  # in modes other than position; else it closes its loop on its own in every mode
-    )
+    uses_other_encoder: bool = True  # in modes other than position; else it closes its loop on its own in every mode
     may_be_absolute: bool = False  # as is_absolute, where its settings make it so: `absolute` of [[board]]
-    frees_in: tuple[
-        str, ...
-    ] = ()  # modes in which it frees its motor without the host: nothing stops the joint
+    frees_in: tuple[str, ...] = ()  # modes in which it frees its motor without the host: nothing stops the joint
     moves_on: bool = False  # in position mode at the speed of the last command; else it stays at its position
     current_step_A: float = 0.0  # to which it rounds the current, where that is much
     current_is_newest: bool = True  # measured after the last command; else before the one that it answers
     counts_per_turn: int = 0  # that it sends, whatever the encoder; 0: its encoder's
     first_count: int | None = None  # of the turn that an absolute encoder knows; None: its settings say
     highest_supply_V: float = math.inf  # of its usual types
-    cycle_bits: int = (
-        0  # of a CAN bus with worst stuffing, in each cycle of the loop: its command, and what answers it
-    )
+    cycle_bits: int = 0  # of a CAN bus with worst stuffing, in each cycle of the loop: its command, and what answers it
     shared_bits: int = 0  # the same, once for all boards of a bus
     sent_bits_s: float = 0.0  # of what it sends unasked, at the rates that its page asks for
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle

@@ -27,8 +27,7 @@ class CameraStream:
         "51001, 1510, 22223",
     ] = None
     origin_m: Annotated[
-        Position | None,
-        "of the system's frame, or of the base body, in the arm's base frame; absent: `calibrate` finds it",
+        Position | None, "of the system's frame, or of the base body, in the arm's base frame; absent: `calibrate` finds it"
     ] = None
     orientation: Annotated[Unit, "of the same frame: quaternion w, x, y, z"] = (1.0, 0.0, 0.0, 0.0)
 
@@ -49,10 +48,7 @@ class Camera:
 
     position_noise_m: Annotated[NonNegative, CAMERA_NOISE, "standard deviation per axis"] = 0.0
     orientation_noise_rad: Annotated[
-        NonNegative,
-        TURN_NOISE,
-        "standard deviation about each axis of measured orientations",
-        "0.002 is assumed",
+        NonNegative, TURN_NOISE, "standard deviation about each axis of measured orientations", "0.002 is assumed"
     ] = 0.0
     udp_port: Annotated[int, UDP_PORT, "on which its frames arrive"] = 47_310
     stream: Annotated[CameraStream | None, "absent: frames of docs/camera.md"] = None

@@ -26,9 +26,7 @@ class CanBus:
     interface: Annotated[str, "socketcan, slcan, ..."]
     channel: Annotated[str, "can0, /dev/ttyACM1, ..."]
     bitrate: Annotated[int, ONE_OR_MORE, "of the bus, in bit/s"] = 1_000_000
-    options: Annotated[Mapping[str, str | int | float | bool], "passed to the interface unchanged"] = field(
-        default_factory=dict
-    )
+    options: Annotated[Mapping[str, str | int | float | bool], "passed to the interface unchanged"] = field(default_factory=dict)
 
 
 class OnBus(Protocol):
@@ -54,9 +52,7 @@ def bus_load(arms: Sequence[OnBus], rate_Hz: float, with_unasked: bool = True) -
         if arm.can is not None:
             bus = (arm.can.interface, arm.can.channel)
             on_can = [kind for kind in map(arm.kind_of, arm.motors) if kind.line == "can"]
-            cycle_bits = sum(kind.cycle_bits for kind in on_can) + max(
-                (kind.shared_bits for kind in on_can), default=0
-            )
+            cycle_bits = sum(kind.cycle_bits for kind in on_can) + max((kind.shared_bits for kind in on_can), default=0)
             bits_s = cycle_bits * rate_Hz + _end_frames_Hz(arm) * FRAME_bits
             bits_s += with_unasked * sum(kind.sent_bits_s for kind in on_can)
             loads[bus] = loads.get(bus, 0.0) + bits_s / arm.can.bitrate

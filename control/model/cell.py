@@ -35,24 +35,14 @@ class ArmEntry:
 
     file: Annotated[str, "an arm.toml, relative to this file, or the name of a supplied arm"]
     name: Annotated[str, rules.NAME, "in commands, sockets and recordings; absent: that of its file"] = ""
-    origin_m: Annotated[Vector3, rules.POSITION, "of the arm's base frame, in the frame of the cell"] = (
-        0.0,
-        0.0,
-        0.0,
-    )
-    orientation: Annotated[Quaternion, "qw, qx, qy, qz of the base frame in the frame of the cell"] = (
-        1.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    origin_m: Annotated[Vector3, rules.POSITION, "of the arm's base frame, in the frame of the cell"] = (0.0, 0.0, 0.0)
+    orientation: Annotated[Quaternion, "qw, qx, qy, qz of the base frame in the frame of the cell"] = (1.0, 0.0, 0.0, 0.0)
     encoder_ports: Annotated[tuple[str, ...], "instead of the ports in its file, in their order"] = ()
     board_ports: Annotated[
         tuple[str, ...], "instead of those of its [[board]]s, one per serial port, in the order of the file"
     ] = ()
     motor_nodes: Annotated[
-        tuple[Annotated[int, rules.NODE], ...],
-        "instead of those in its file, one per drive; for a shared bus",
+        tuple[Annotated[int, rules.NODE], ...], "instead of those in its file, one per drive; for a shared bus"
     ] = ()
     camera_port: Annotated[Annotated[int, rules.UDP_PORT] | None, "instead of the one in its file"] = None
 
@@ -94,9 +84,7 @@ class Placed:
     def in_cell(self, point_m: Sequence[float]) -> Vector3:
         """A point of the base frame, in the frame of the cell."""
         x, y, z = point_m
-        a, b, c = (
-            o + r[0] * x + r[1] * y + r[2] * z for o, r in zip(self.origin_m, self.rotation, strict=True)
-        )
+        a, b, c = (o + r[0] * x + r[1] * y + r[2] * z for o, r in zip(self.origin_m, self.rotation, strict=True))
         return a, b, c
 
     def in_base(self, point_m: Sequence[float]) -> Vector3:
@@ -159,9 +147,7 @@ def load_cell(path_or_name: str | Path) -> Cell:
     if path.suffix != ".toml" and not path.exists():
         if str(path_or_name) not in cell_names():
             names = " or ".join(f'"{name}"' for name in cell_names())
-            raise ArmFileError(
-                str(path_or_name), None, "", f"a path to a cell.toml, or {names}", "an unknown name"
-            )
+            raise ArmFileError(str(path_or_name), None, "", f"a path to a cell.toml, or {names}", "an unknown name")
         path = SUPPLIED / f"{path_or_name}.toml"
     try:
         return _parsed(read_text(path), path)
@@ -182,18 +168,9 @@ def save_cell(cell: Cell, folder: Path) -> Path:
     for placed in cell.arms:
         save_arm(placed.arm, folder / f"{placed.name}.toml")
         entries.append(
-            {
-                "file": f"{placed.name}.toml",
-                "origin_m": list(placed.origin_m),
-                "orientation": list(placed.orientation),
-            }
+            {"file": f"{placed.name}.toml", "origin_m": list(placed.origin_m), "orientation": list(placed.orientation)}
         )
-    table = {
-        "name": cell.name,
-        "clearance_m": cell.clearance_m,
-        "tool_length_m": cell.tool_length_m,
-        "arm": entries,
-    }
+    table = {"name": cell.name, "clearance_m": cell.clearance_m, "tool_length_m": cell.tool_length_m, "arm": entries}
     file = folder / f"{cell.name}.cell.toml"
     write_whole(file, tomli_w.dumps(table), is_new=True)
     return file
@@ -230,32 +207,22 @@ def _placed(entry: ArmEntry, index: int, can: CanBus | None, cell_file: Path) ->
         raise Rejected(("arm", index, "orientation"), expected, f"one of length {length:.4g}")
     if entry.motor_nodes:
         if len(entry.motor_nodes) != len(arm.drives):
-            raise Rejected(
-                ("arm", index, "motor_nodes"),
-                f"{len(arm.drives)} nodes, one per drive",
-                str(len(entry.motor_nodes)),
-            )
+            raise Rejected(("arm", index, "motor_nodes"), f"{len(arm.drives)} nodes, one per drive", str(len(entry.motor_nodes)))
         drives = zip(arm.drives, entry.motor_nodes, strict=True)
-        arm = dataclasses.replace(
-            arm, drives=tuple(dataclasses.replace(drive, motor_node=node) for drive, node in drives)
-        )
+        arm = dataclasses.replace(arm, drives=tuple(dataclasses.replace(drive, motor_node=node) for drive, node in drives))
     if entry.encoder_ports:
         if len(entry.encoder_ports) != len(arm.encoder_boards):
             expected = f"{len(arm.encoder_boards)} ports, one an [[encoder_board]] of {arm.path}"
             raise Rejected(("arm", index, "encoder_ports"), expected, str(len(entry.encoder_ports)))
         boards = zip(arm.encoder_boards, entry.encoder_ports, strict=True)
-        arm = dataclasses.replace(
-            arm, encoder_boards=tuple(dataclasses.replace(board, port=port) for board, port in boards)
-        )
+        arm = dataclasses.replace(arm, encoder_boards=tuple(dataclasses.replace(board, port=port) for board, port in boards))
     if entry.board_ports:
         ports = _serial_ports(arm)
         if len(entry.board_ports) != len(ports):
             expected = f"{len(ports)} ports, one for each of {', '.join(ports) or 'none'} in {arm.path}"
             raise Rejected(("arm", index, "board_ports"), expected, str(len(entry.board_ports)))
         port_of = dict(zip(["", *ports], ["", *entry.board_ports], strict=True))
-        arm = dataclasses.replace(
-            arm, boards=tuple(dataclasses.replace(board, port=port_of[board.port]) for board in arm.boards)
-        )
+        arm = dataclasses.replace(arm, boards=tuple(dataclasses.replace(board, port=port_of[board.port]) for board in arm.boards))
     if entry.camera_port is not None:
         camera = (arm.camera or Camera()).with_port(entry.camera_port)
         arm = dataclasses.replace(arm, camera=camera)
@@ -283,11 +250,7 @@ def _check(cell: Cell) -> None:
     for index, placed in enumerate(cell.arms):
         for key, what, one in _claims(placed):
             if one in taken:
-                raise Rejected(
-                    ("arm", index, key),
-                    f"{what} that no other arm of the cell has",
-                    f"that of arm {taken[one]!r}",
-                )
+                raise Rejected(("arm", index, key), f"{what} that no other arm of the cell has", f"that of arm {taken[one]!r}")
             taken[one] = placed.name
         if (can := placed.arm.can) is not None:
             kinds = kinds_on.setdefault((can.interface, can.channel), set())
@@ -310,18 +273,11 @@ def _claims(placed: Placed) -> list[tuple[str, str, object]]:
     arm, can = placed.arm, placed.arm.can
     claims: list[tuple[str, str, object]] = [("name", "a name", ("name", arm.name))]
     claims += [("encoder_ports", "a port", ("port", board.port)) for board in arm.encoder_boards]
-    claims += [
-        ("board_ports", f"a port for its [[board]]s (here {port})", ("port", port))
-        for port in _serial_ports(arm)
-    ]
+    claims += [("board_ports", f"a port for its [[board]]s (here {port})", ("port", port)) for port in _serial_ports(arm)]
     if can is not None:
         bus = (can.interface, can.channel)
         claims += [
-            (
-                "file",
-                f"an address of a {board.kind} (here {board.address}) on {can.channel}",
-                (board.kind, *bus, board.address),
-            )
+            ("file", f"an address of a {board.kind} (here {board.address}) on {can.channel}", (board.kind, *bus, board.address))
             for board in arm.boards
             if KINDS[board.kind].line == "can"
         ]
@@ -335,9 +291,7 @@ def _claims(placed: Placed) -> list[tuple[str, str, object]]:
 
 def _gravity(placed: Placed) -> Vector3:
     """Gravity in the frame of the cell."""
-    x, y, z = (
-        sum(r * g for r, g in zip(row, placed.arm.gravity_m_s2, strict=True)) for row in placed.rotation
-    )
+    x, y, z = (sum(r * g for r, g in zip(row, placed.arm.gravity_m_s2, strict=True)) for row in placed.rotation)
     return x, y, z
 
 

@@ -15,9 +15,7 @@ import tomli_w
 
 from control.errors import ArmError, ArmFileError
 from control.files import NO_ROOM, parsed_toml, read_text, write_whole
-from control.model.arm import (
-    Arm,
-)
+from control.model.arm import Arm
 from control.model.arm_checks import check_arm
 from control.model.end_effector import read_tools
 from control.model.reader import Rejected, keys_of, read_table, show
@@ -83,9 +81,7 @@ def save_arm(arm: Arm, path: str | Path) -> None:
     try:
         write_whole(Path(path), arm_text(arm), is_new=True)
     except FileExistsError:
-        raise ArmFileError(
-            path, None, "", "a new file", "an existing one", "arms are never overwritten"
-        ) from None
+        raise ArmFileError(path, None, "", "a new file", "an existing one", "arms are never overwritten") from None
     except OSError as error:
         if error.errno in NO_ROOM:
             raise

@@ -21,8 +21,7 @@ class DrivePid:
     """
 
     mode: Annotated[
-        Literal["voltage", "current", "position"],
-        'sent to the motor board; "position": the PID runs on the board',
+        Literal["voltage", "current", "position"], 'sent to the motor board; "position": the PID runs on the board'
     ] = "voltage"
     kp: Annotated[NonNegative | None, "V/rad or A/rad", "from the model"] = None
     ki: Annotated[NonNegative | None, "V/(rad s) or A/(rad s)", "from the model"] = None
@@ -42,8 +41,7 @@ class Home:
     speed_rad_s: Annotated[Positive, rules.JOINT_SPEED, "towards the switch"] = 0.2
     backoff_rad: Annotated[Positive, rules.BACKOFF, "back off an active switch"] = 0.05
     switch: Annotated[
-        Literal["own", "lower", "upper"],
-        "the joint's home switch, or one of its limit switches, which takes its place",
+        Literal["own", "lower", "upper"], "the joint's home switch, or one of its limit switches, which takes its place"
     ] = "own"
 
     @property
@@ -65,9 +63,7 @@ class LimitSwitches:
     Some drives have inputs of their own for them, and say which end is meant: OWN_INPUT.
     """
 
-    lower: Annotated[
-        str, 'name of the [[digital]] of the one at the lower end, or "drive": its own input'
-    ] = ""
+    lower: Annotated[str, 'name of the [[digital]] of the one at the lower end, or "drive": its own input'] = ""
     upper: Annotated[str, "and at the upper end"] = ""
     lower_rad: Annotated[float | None, rules.LIMIT, "where it changes", "a little beyond the range"] = None
     upper_rad: Annotated[float | None, rules.LIMIT, "where it changes", "a little beyond the range"] = None
@@ -80,9 +76,7 @@ class Drive:
 
     joint: Annotated[int, rules.ONE_OR_MORE, "from 1 at the base"]
     gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
-    encoder_counts_per_rev: Annotated[
-        int, rules.ONE_OR_MORE, "per turn of the encoder, after quadrature decoding"
-    ]
+    encoder_counts_per_rev: Annotated[int, rules.ONE_OR_MORE, "per turn of the encoder, after quadrature decoding"]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
     resistance_ohm: Annotated[Positive, "of the winding, between terminals"]
     supply_V: Annotated[Positive, "of the motor board"]
@@ -105,32 +99,19 @@ class Drive:
     joint_acceleration_limit_rad_s2: Annotated[Positive, "of plans and set-points"] = math.inf
     joint_jerk_limit_rad_s3: Annotated[Positive, "of plans"] = math.inf
     encoder_board: Annotated[
-        int,
-        rules.ZERO_OR_MORE,
-        "which [[encoder_board]], from 0",
-        "joints fill the boards in order, three each",
+        int, rules.ZERO_OR_MORE, "which [[encoder_board]], from 0", "joints fill the boards in order, three each"
     ] = -1
     encoder_channel: Annotated[int, rules.ZERO_OR_MORE, "its channel, 0 to 2", "in order"] = -1
-    encoder_direction: Annotated[
-        Direction, "-1: counts down while the joint turns in its positive direction"
-    ] = 1
+    encoder_direction: Annotated[Direction, "-1: counts down while the joint turns in its positive direction"] = 1
     motor_node: Annotated[int, rules.NODE, "CAN node of the motor board", "the joint's number"] = -1
     motor_direction: Annotated[Direction, "-1: a positive voltage turns the joint backwards"] = 1
-    motor_serial_number: Annotated[
-        Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"
-    ] = None
+    motor_serial_number: Annotated[Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"] = None
     zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
-    board: Annotated[
-        str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"
-    ] = ""
+    board: Annotated[str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"] = ""
     board_channel: Annotated[int, rules.ONE_OR_MORE, "which motor of that board, from 1"] = 1
-    servo: Annotated[
-        str, "a smart servo of docs/arms.md: default of gear_ratio to supply_V and current_limit_A"
-    ] = ""
+    servo: Annotated[str, "a smart servo of docs/arms.md: default of gear_ratio to supply_V and current_limit_A"] = ""
     servos: Annotated[
-        int,
-        rules.ONE_OR_MORE,
-        "that turn the joint together: a shadow has the board's address as its secondary id",
+        int, rules.ONE_OR_MORE, "that turn the joint together: a shadow has the board's address as its secondary id"
     ] = 1
     board_holds: Annotated[
         bool,
@@ -146,11 +127,7 @@ class Drive:
         if self.board and self.encoder_board < 0:
             return
         board, channel = divmod(self.joint - 1, ENCODER_CHANNELS)
-        for name, default in (
-            ("encoder_board", board),
-            ("encoder_channel", channel),
-            ("motor_node", self.joint),
-        ):
+        for name, default in (("encoder_board", board), ("encoder_channel", channel), ("motor_node", self.joint)):
             if getattr(self, name) < 0:
                 object.__setattr__(self, name, default)
 

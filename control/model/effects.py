@@ -36,9 +36,7 @@ class Functions(Protocol):
         """Sine."""
 
 
-Torque = Callable[
-    [Value, Value, Value], Value
-]  # angle of joint or motor, joint speed, transmitted torque -> torque
+Torque = Callable[[Value, Value, Value], Value]  # angle of joint or motor, joint speed, transmitted torque -> torque
 TorqueLaw = Callable[[Mapping[str, float], Functions], Torque]  # of an effect's parameters
 
 
@@ -116,25 +114,18 @@ class LinearForm:
 
 def itself(parameter: str, nothing: float = 0.0) -> LinearForm:
     """The parameter, counted from the value at which there is no effect."""
-    return LinearForm(
-        lambda p: (p[parameter] - nothing,), lambda v: {parameter: v[0] + nothing}, lambda v: ((1.0,),)
-    )
+    return LinearForm(lambda p: (p[parameter] - nothing,), lambda v: {parameter: v[0] + nothing}, lambda v: ((1.0,),))
 
 
 def width(parameter: str) -> LinearForm:
     """The parameter, which is above 0."""
-    return LinearForm(
-        lambda p: (p[parameter],), lambda v: {parameter: v[0]}, lambda v: ((1.0,),), lambda v: v[0] > 0.0
-    )
+    return LinearForm(lambda p: (p[parameter],), lambda v: {parameter: v[0]}, lambda v: ((1.0,),), lambda v: v[0] > 0.0)
 
 
 def inverse(parameter: str) -> LinearForm:
     """One over the parameter: the compliance of a stiffness, which is above 0."""
     return LinearForm(
-        lambda p: (1.0 / p[parameter],),
-        lambda v: {parameter: 1.0 / v[0]},
-        lambda v: ((-1.0 / v[0] ** 2,),),
-        lambda v: v[0] > 0.0,
+        lambda p: (1.0 / p[parameter],), lambda v: {parameter: 1.0 / v[0]}, lambda v: ((-1.0 / v[0] ** 2,),), lambda v: v[0] > 0.0
     )
 
 
@@ -172,9 +163,7 @@ class EffectKind:
     is_of_motor: bool = False  # its torque follows the motor's angle, which takes a [[drive]]
     corrected: Corrected = "not"
     is_of_transmission: bool = False  # between motor and joint: an encoder on the joint sees what it does
-    moves: int | None = (
-        None  # the joint that it moves, and the one whose angle says how far, if not the key `joint`
-    )
+    moves: int | None = None  # the joint that it moves, and the one whose angle says how far, if not the key `joint`
     follows: int | None = None
 
 
@@ -186,12 +175,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         "joint", ("amplitude_rad", "phase_rad"), linear=wave("amplitude_rad"), corrected="encoder"
     ),
     "backlash": EffectKind(
-        "joint",
-        ("width_rad",),
-        not_negative=("width_rad",),
-        linear=width("width_rad"),
-        corrected="gear",
-        is_of_transmission=True,
+        "joint", ("width_rad",), not_negative=("width_rad",), linear=width("width_rad"), corrected="gear", is_of_transmission=True
     ),
     "joint_compliance": EffectKind(
         "joint",
@@ -248,12 +232,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         corrected="torque",
     ),
     "load_friction": EffectKind(
-        "joint",
-        ("fraction",),
-        not_negative=("fraction",),
-        linear=itself("fraction"),
-        torque=load_friction,
-        corrected="torque",
+        "joint", ("fraction",), not_negative=("fraction",), linear=itself("fraction"), torque=load_friction, corrected="torque"
     ),
     "asymmetric_friction": EffectKind(
         "joint", ("torque_Nm",), linear=itself("torque_Nm"), torque=asymmetric_friction, corrected="torque"
@@ -272,9 +251,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         "joint", ("scale",), positive=("scale",), linear=itself("scale", nothing=1.0), corrected="torque"
     ),
     "command_delay": EffectKind("none", ("delay_s",), not_negative=("delay_s",), linear=itself("delay_s")),
-    "supply_sag": EffectKind(
-        "none", ("resistance_ohm",), not_negative=("resistance_ohm",), linear=itself("resistance_ohm")
-    ),
+    "supply_sag": EffectKind("none", ("resistance_ohm",), not_negative=("resistance_ohm",), linear=itself("resistance_ohm")),
     "link_inertia": EffectKind("link", (), one_of=("inertia_kg_m2", "mass_kg"), corrected="torque"),
 }
 
@@ -327,9 +304,7 @@ def parameter_names(kind: EffectKind) -> tuple[str, ...]:
     return (*kind.required, *kind.optional, *kind.one_of, *pattern)
 
 
-def check_effect(
-    name: str, joint: int | None, parameters: Mapping[str, float], joints: int, links: int, fault: Fault
-) -> None:
+def check_effect(name: str, joint: int | None, parameters: Mapping[str, float], joints: int, links: int, fault: Fault) -> None:
     """Raise `fault(path inside the effect, expected, got)` if an effect does not conform to docs/formats.md."""
     kind = EFFECTS.get(name)
     if kind is None:
@@ -345,9 +320,7 @@ def check_effect(
         raise fault(("parameters",), "exactly one of " + ", ".join(kind.one_of), f"{len(given)} of them")
 
 
-def _check_place(
-    name: str, kind: EffectKind, joint: int | None, joints: int, links: int, fault: Fault
-) -> None:
+def _check_place(name: str, kind: EffectKind, joint: int | None, joints: int, links: int, fault: Fault) -> None:
     if kind.place == "none":
         if joint is not None:
             raise fault(("joint",), f"no joint for the effect {name}", str(joint))
@@ -361,9 +334,7 @@ def _check_place(
             raise fault(("joint",), f"a {word} from 1 to {count}", str(joint))
 
 
-def _check_parameter(
-    name: str, kind: EffectKind, parameter: str, value: float, links: int, fault: Fault
-) -> None:
+def _check_parameter(name: str, kind: EffectKind, parameter: str, value: float, links: int, fault: Fault) -> None:
     path = ("parameters", parameter)
     matched = re.fullmatch(kind.pattern, parameter) if kind.pattern else None
     if matched is None and parameter not in (*kind.required, *kind.optional, *kind.one_of):

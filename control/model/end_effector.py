@@ -52,23 +52,14 @@ class Gripper:
     motor_node: Annotated[int, rules.NODE, "CAN node of its motor board; or `board`", "none"] = -1
     board: Annotated[str, "name of the [[board]] that drives it"] = ""
     board_channel: Annotated[int, rules.ONE_OR_MORE, "which motor of that board, from 1"] = 1
-    servo: Annotated[
-        str, "as in [[drive]]; it does not give current_limit_A, which a held object needs lower"
-    ] = ""
-    encoder_counts_per_rev: Annotated[
-        int, rules.ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
-    ] = 0
+    servo: Annotated[str, "as in [[drive]]; it does not give current_limit_A, which a held object needs lower"] = ""
+    encoder_counts_per_rev: Annotated[int, rules.ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"] = 0
     rotor_inertia_kg_m2: Annotated[NonNegative, rules.ROTOR, "of the rotor; for the mock"] = 0.0
     motor_direction: Annotated[int, rules.DIRECTION, "-1: a positive voltage closes"] = 1
-    motor_serial_number: Annotated[
-        Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"
-    ] = None
-    force_N: Annotated[
-        Positive | None, "where no force is asked for", "half of that at the current limit"
-    ] = None
+    motor_serial_number: Annotated[Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"] = None
+    force_N: Annotated[Positive | None, "where no force is asked for", "half of that at the current limit"] = None
     on_fault: Annotated[
-        Literal["hold", "release"],
-        "after a fault of the arm, and without the host: keep what it has, or open the circuit",
+        Literal["hold", "release"], "after a fault of the arm, and without the host: keep what it has, or open the circuit"
     ] = "hold"
 
     @property
@@ -96,8 +87,7 @@ class Digital:
     pin: Annotated[int, rules.PIN, "its number on the board"]
     direction: Annotated[Literal["input", "output"], "seen from the board"]
     safe: Annotated[
-        Literal["low", "high", "keep"],
-        'of an output while the drives are off and after a fault; "keep": as it was',
+        Literal["low", "high", "keep"], 'of an output while the drives are off and after a fault; "keep": as it was'
     ] = "low"
 
 

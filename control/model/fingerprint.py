@@ -21,17 +21,50 @@ if TYPE_CHECKING:
 
 NOT_COMPARED: Final = frozenset(
     {
-        "name", "as_given", "placeholders", "rest", "recording", "calibration", "encoder_board", "can", "board", "digital",
-        "gripper", "link.joint_name", "link.link_name",
-        "camera.udp_port", "camera.position_noise_m", "camera.orientation_noise_rad", "camera.stream.host", "camera.stream.port",
-        "drive.encoder_board", "drive.encoder_channel", "drive.motor_node", "drive.motor_serial_number", "drive.board",
-        "drive.board_channel", "drive.servo", "drive.board_holds", "drive.home", "drive.pid.kp", "drive.pid.ki", "drive.pid.kd",
+        "name",
+        "as_given",
+        "placeholders",
+        "rest",
+        "recording",
+        "calibration",
+        "encoder_board",
+        "can",
+        "board",
+        "digital",
+        "gripper",
+        "link.joint_name",
+        "link.link_name",
+        "camera.udp_port",
+        "camera.position_noise_m",
+        "camera.orientation_noise_rad",
+        "camera.stream.host",
+        "camera.stream.port",
+        "drive.encoder_board",
+        "drive.encoder_channel",
+        "drive.motor_node",
+        "drive.motor_serial_number",
+        "drive.board",
+        "drive.board_channel",
+        "drive.servo",
+        "drive.board_holds",
+        "drive.home",
+        "drive.pid.kp",
+        "drive.pid.ki",
+        "drive.pid.kd",
         "drive.pid.derivative_filter_s",
-        "limits.stale_s", "limits.watchdog_s", "limits.following_error_rad", "limits.following_error_per_speed_s",
-        "limits.jog_silence_s", "limits.speed_contradiction_rad_s", "limits.transmission_slack_rad",
-        "limits.unexplained_torque", "limits.supply_low", "limits.supply_high", "limits.temperature_degC",
+        "limits.stale_s",
+        "limits.watchdog_s",
+        "limits.following_error_rad",
+        "limits.following_error_per_speed_s",
+        "limits.jog_silence_s",
+        "limits.speed_contradiction_rad_s",
+        "limits.transmission_slack_rad",
+        "limits.unexplained_torque",
+        "limits.supply_low",
+        "limits.supply_high",
+        "limits.temperature_degC",
     }
-)  # fmt: skip
+)
 """Keys of arm.toml: where things are connected, what only the loop uses, and what is for the record."""
 IN_ANY_ORDER: Final = frozenset({"effect", "map", "tool"})
 LONGEST: Final = 80  # characters of a value; a longer one is told by its hash
@@ -70,9 +103,7 @@ def places_of(cell: "Cell") -> dict[str, str]:
     """The compared values of a cell: where each arm's base stands, and what distance is kept."""
     content = {f"cell, {key}": _text(getattr(cell, key)) for key in ("clearance_m", "tool_length_m")}
     for placed in cell.arms:
-        content |= {
-            f"arm {placed.name}, {key}": _text(getattr(placed, key)) for key in ("origin_m", "orientation")
-        }
+        content |= {f"arm {placed.name}, {key}": _text(getattr(placed, key)) for key in ("origin_m", "orientation")}
     return content
 
 
@@ -82,9 +113,7 @@ def require_same(arm: Arm, described: Mapping[str, Any], cell: "Cell | None" = N
     With a `cell`, in the places of its arms, too; an arm that is served alone has none.
     """
     if "content" not in described:
-        raise AnotherArm(
-            "the runtime does not say which arm it has: it is of an earlier version, start it again"
-        )
+        raise AnotherArm("the runtime does not say which arm it has: it is of an earlier version, start it again")
     ours, theirs = content_of(arm), dict(described["content"])
     if cell is not None and "cell" in described:
         ours |= places_of(cell)

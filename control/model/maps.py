@@ -20,9 +20,7 @@ OVER_OF: Final[dict[Corrects, tuple[Over, ...]]] = {
 }
 NODES_LEAST: Final = 4
 LARGEST_rad: Final = 0.1  # of an angle: a joint that is further off is not where any encoder says
-STEEPEST: Final = (
-    0.2  # of an angle over the angle: a joint whose encoder is off by more is not calibrated but broken
-)
+STEEPEST: Final = 0.2  # of an angle over the angle: a joint whose encoder is off by more is not calibrated but broken
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +31,7 @@ class CorrectionMap:
     """
 
     joint: Annotated[int, ONE_OR_MORE, "that is corrected"]
-    corrects: Annotated[
-        Corrects, "how far the joint is ahead of its encoder, or torque that the motor has to add"
-    ]
+    corrects: Annotated[Corrects, "how far the joint is ahead of its encoder, or torque that the motor has to add"]
     over: Annotated[Over, "encoder angle, motor angle within a turn, torque of the links, or speed"]
     values: Annotated[tuple[float, ...], "at the nodes, 4 or more, joined by a cubic spline"]
     lower: Annotated[float, "place of the first node; none for a motor's turn"] = 0.0
@@ -49,12 +45,7 @@ class CorrectionMap:
 
     def __str__(self) -> str:
         """As `joint 2's angle over its load`."""
-        over = {
-            "angle_rad": "its angle",
-            "motor_turn_rad": "the motor's turn",
-            "load_Nm": "its load",
-            "speed_rad_s": "its speed",
-        }
+        over = {"angle_rad": "its angle", "motor_turn_rad": "the motor's turn", "load_Nm": "its load", "speed_rad_s": "its speed"}
         return f"joint {self.joint}'s {self.corrects.split('_')[0]} over {over[self.over]}"
 
 
@@ -70,18 +61,12 @@ def check_map(one: CorrectionMap, joints: int, driven: frozenset[int], fault: Fa
     if len(one.values) < NODES_LEAST:
         raise fault(("values",), f"at least {NODES_LEAST} values", f"{len(one.values)} of them")
     if one.by_direction and len(one.by_direction) != len(one.values):
-        raise fault(
-            ("by_direction",),
-            f"{len(one.values)} values, as many as in values",
-            f"{len(one.by_direction)} of them",
-        )
+        raise fault(("by_direction",), f"{len(one.values)} values, as many as in values", f"{len(one.by_direction)} of them")
     if one.is_periodic:
         if (one.lower, one.upper) != (0.0, tau):
             raise fault(("lower",), "no lower and upper: the table is one turn of the motor", str(one.lower))
         if one.joint not in driven:
-            raise fault(
-                ("over",), "a [[drive]] of the joint: its gear_ratio says how far the motor turns", "none"
-            )
+            raise fault(("over",), "a [[drive]] of the joint: its gear_ratio says how far the motor turns", "none")
     elif not one.lower < one.upper:
         raise fault(("upper",), "more than lower", f"{one.upper} (lower is {one.lower})")
     if one.corrects == "angle_rad" and max(map(abs, (*one.values, *one.by_direction))) > LARGEST_rad:

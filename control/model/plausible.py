@@ -16,9 +16,7 @@ from control.model.rules import Rule
 TOO_FAST: Final = 10.0  # times the speed without load: joints are limited to a fraction of it
 TOO_QUICK: Final = 10.0  # times what the motor can give its own rotor
 TOO_SLOW_rad_s2: Final = 0.01  # with all its torque on its rotor alone: the rotor's inertia is no motor's
-TOO_HEAVY: Final = (
-    50.0  # times what the strongest joint holds stretched; with balancing springs, arms reach 3
-)
+TOO_HEAVY: Final = 50.0  # times what the strongest joint holds stretched; with balancing springs, arms reach 3
 TOO_DENSE_kg_m3: Final = 5000.0  # mass over the cube of reach: 10 to 400 for arms, from hobby to industrial
 LEAST_REACH_m: Final = 0.1  # below it, the mass is that of the joints and says nothing
 UPRIGHT_rad: Final = 0.1  # an axis nearer than this to gravity's direction lifts next to nothing
@@ -87,9 +85,7 @@ def _check_home_speed(drive: Drive, index: int) -> None:
 
 def _check_acceleration(drive: Drive, index: int) -> None:
     limit = drive.joint_acceleration_limit_rad_s2
-    rotor = (
-        drive.gear_ratio * drive.gear_ratio * drive.rotor_inertia_kg_m2
-    )  # `**` raises where this is infinite
+    rotor = drive.gear_ratio * drive.gear_ratio * drive.rotor_inertia_kg_m2  # `**` raises where this is infinite
     if not math.isfinite(limit) or rotor == 0.0:
         return
     most = _torque_Nm(drive) / rotor

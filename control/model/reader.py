@@ -39,11 +39,7 @@ def read_table(kind: type[T], table: object, path: Path = ()) -> T:
         if key not in fields:
             raise _unknown(key, tuple(fields), path)
     hints = _hints(kind)  # type: ignore[arg-type]  # to mypy a type is not hashable
-    values = {
-        field.name: _value(hints[field.name], table[key], (*path, key))
-        for key, field in fields.items()
-        if key in table
-    }
+    values = {field.name: _value(hints[field.name], table[key], (*path, key)) for key, field in fields.items() if key in table}
     for key, field in fields.items():
         if key not in table and _is_required(field):
             raise Rejected((*path, key), _words(hints[field.name]), "nothing", "the key is missing")
@@ -132,10 +128,7 @@ def _tuple(hint: Any, value: object, path: Path) -> Any:
         kinds = (kinds[0],) * len(value)
     if len(value) != len(kinds):
         raise Rejected(path, _words(hint), f"{len(value)} of them")
-    return tuple(
-        _value(kind, item, (*path, index))
-        for index, (kind, item) in enumerate(zip(kinds, value, strict=True))
-    )
+    return tuple(_value(kind, item, (*path, index)) for index, (kind, item) in enumerate(zip(kinds, value, strict=True)))
 
 
 def _mapping(kind: Any, value: object, path: Path) -> Any:

@@ -51,12 +51,7 @@ LONGEST_NAME = 64  # a socket's whole path has 107 characters
 
 def is_file_name(name: str) -> bool:
     """Whether a name can be part of a file's name and leads to no other folder."""
-    return (
-        bool(name)
-        and len(name) <= LONGEST_NAME
-        and name[0] not in ".-"
-        and not re.search(r"[/\\\x00-\x1f\x7f]", name)
-    )
+    return bool(name) and len(name) <= LONGEST_NAME and name[0] not in ".-" and not re.search(r"[/\\\x00-\x1f\x7f]", name)
 
 
 NAME: Final = Rule(
@@ -78,19 +73,13 @@ WORD: Final = Rule(
 )
 # What protects the arm may be set wider than its default, but not without end.
 WATCHDOG: Final = Rule(
-    "a time from 0.005 to 1 s",
-    lambda x: 0.005 <= x <= 1.0,
-    "until then a board acts on a host that may be dead",
+    "a time from 0.005 to 1 s", lambda x: 0.005 <= x <= 1.0, "until then a board acts on a host that may be dead"
 )
-STALE: Final = Rule(
-    "a time up to 0.5 s, above 0", lambda x: 0.0 < x <= 0.5, "until then the arm is controlled by old values"
-)
+STALE: Final = Rule("a time up to 0.5 s, above 0", lambda x: 0.0 < x <= 0.5, "until then the arm is controlled by old values")
 FOLLOWING: Final = Rule(
     "an angle up to 0.5 rad, above 0", lambda x: 0.0 < x <= 0.5, "a joint that is further off follows nothing"
 )
-LAG: Final = Rule(
-    "a time from 0 to 0.5 s", lambda x: 0.0 <= x <= 0.5, "a joint that is later follows nothing"
-)
+LAG: Final = Rule("a time from 0 to 0.5 s", lambda x: 0.0 <= x <= 0.5, "a joint that is later follows nothing")
 POSITIVE: Final = Rule("a positive number", lambda x: x > 0)
 NOT_NEGATIVE: Final = Rule("a number not below 0", lambda x: x >= 0)
 SHARE_BELOW_1: Final = Rule("a share from 0.3 to 0.99", lambda x: 0.3 <= x <= 0.99)
@@ -108,9 +97,7 @@ ANGLE: Final = Rule("an angle within +-2 pi rad", lambda x: abs(x) <= 2 * math.p
 LIMIT: Final = Rule("an angle within four turns, in rad", lambda x: abs(x) <= 8 * math.pi, *_DEG)
 TILT: Final = Rule("a tilt within +-pi/2 rad", lambda x: abs(x) <= math.pi / 2, *_DEG)
 BACKOFF: Final = Rule("an angle up to 1 rad", lambda x: x <= 1.0, *_DEG)
-JOINT_SPEED: Final = Rule(
-    "a speed up to 50 rad/s", lambda x: x <= 50.0, "", "degrees per second", math.pi / 180
-)
+JOINT_SPEED: Final = Rule("a speed up to 50 rad/s", lambda x: x <= 50.0, "", "degrees per second", math.pi / 180)
 LENGTH: Final = Rule("a length within +-10 m", lambda x: abs(x) <= 10.0, *_MM)
 POSITION: Final = Rule("coordinates within +-10 m", lambda v: max(map(abs, v)) <= 10.0, *_MM)
 HEIGHT: Final = Rule("a height within +-10 m", lambda x: abs(x) <= 10.0, *_MM)
@@ -118,15 +105,11 @@ BOARD_SIZE: Final = Rule("a length up to 3 m", lambda x: x <= 3.0, *_MM)
 CLEARANCE: Final = Rule("a distance up to 1 m", lambda x: x <= 1.0, *_MM)
 CAMERA_NOISE: Final = Rule("a noise up to 0.05 m", lambda x: x <= 0.05, *_MM)
 TURN_NOISE: Final = Rule("a noise up to 0.05 rad", lambda x: x <= 0.05, *_DEG)
-QUATERNION: Final = Rule(
-    "a unit quaternion w, x, y, z (length 1 within 0.002)", lambda q: abs(math.hypot(*q) - 1.0) <= 2e-3
-)
+QUATERNION: Final = Rule("a unit quaternion w, x, y, z (length 1 within 0.002)", lambda q: abs(math.hypot(*q) - 1.0) <= 2e-3)
 TIP_SPEED: Final = Rule("a speed up to 20 m/s", lambda x: x <= 20.0, "", "millimetres per second", 1e-3)
 PAYLOAD: Final = Rule("a mass up to 3000 kg", lambda x: x <= 3000.0, *_GRAMS)
 TOOL_MASS: Final = Rule("a mass up to 100 kg", lambda x: x <= 100.0, *_GRAMS)
 TRAVEL: Final = Rule("a length up to 0.5 m", lambda x: x <= 0.5, *_MM)
 FINGER_SPEED: Final = Rule("a speed up to 2 m/s", lambda x: x <= 2.0, "", "millimetres per second", 1e-3)
 ROTOR: Final = Rule("an inertia up to 0.5 kg m^2", lambda x: x <= 0.5, "", "g cm^2", 1e-7)
-GRAVITY: Final = Rule(
-    "an acceleration up to 30 m/s^2", lambda v: math.hypot(*v) <= 30.0, "", "millimetres per s^2", 1e-3
-)
+GRAVITY: Final = Rule("an acceleration up to 30 m/s^2", lambda v: math.hypot(*v) <= 30.0, "", "millimetres per s^2", 1e-3)

@@ -70,9 +70,7 @@ SERVOS: Final[Mapping[str, ServoType]] = MappingProxyType(
         "STS3215-12V": ServoType("feetech", 12.0, 30.0 * KG_CM, 2.7, 45.0 * RPM, HORN_TEETH),
         # C001, the same gear: 19.5 kg cm by those who sell it. The current is reckoned: a motor of the same size loses as much
         # heat for the square of its torque, however it is wound
-        "STS3215-7.4V": ServoType(
-            "feetech", 7.4, 19.5 * KG_CM, 12.0 * 2.7 / 7.4 * (19.5 / 30.0) ** 2, 0.0, HORN_TEETH
-        ),
+        "STS3215-7.4V": ServoType("feetech", 7.4, 19.5 * KG_CM, 12.0 * 2.7 / 7.4 * (19.5 / 30.0) ** 2, 0.0, HORN_TEETH),
     }
 )
 
@@ -96,9 +94,7 @@ def without_servo_values(document: dict[str, Any]) -> dict[str, Any]:
     return _each(document, emptied)
 
 
-def _each(
-    document: dict[str, Any], changed: Callable[[Any, tuple[str | int, ...], tuple[str, ...]], Any]
-) -> dict[str, Any]:
+def _each(document: dict[str, Any], changed: Callable[[Any, tuple[str | int, ...], tuple[str, ...]], Any]) -> dict[str, Any]:
     """The document with what may name a servo changed; what is no table is left to the reader to refuse."""
     others = dict(document)
     if isinstance(drives := document.get("drive"), list):
@@ -112,9 +108,7 @@ def _names_servo(table: Any) -> bool:
     return isinstance(table, dict) and table.get("servo", "") != ""
 
 
-def _sheet(
-    table: dict[str, Any], path: tuple[str | int, ...], keys: tuple[str, ...]
-) -> dict[str, float | int]:
+def _sheet(table: dict[str, Any], path: tuple[str | int, ...], keys: tuple[str, ...]) -> dict[str, float | int]:
     named, servos = table["servo"], table.get("servos", 1)
     if not isinstance(named, str) or named not in SERVOS:
         raise Rejected((*path, "servo"), " or ".join(f'"{name}"' for name in SERVOS), show(named))

@@ -49,18 +49,14 @@ def cavities(table: Table, setup: str = "normal") -> dict[str, Vector3]:
 def to_base(table: Table, setup: str, point: Vector3) -> Vector3:
     """A point of the board frame in the base frame; errors as `cavities`."""
     origin, rows = board_origin(table), board_rotation(table, setup)
-    x, y, z = (
-        o + sum(r * p for r, p in zip(row, point, strict=True)) for o, row in zip(origin, rows, strict=True)
-    )
+    x, y, z = (o + sum(r * p for r, p in zip(row, point, strict=True)) for o, row in zip(origin, rows, strict=True))
     return x, y, z
 
 
 def board_origin(table: Table) -> Vector3:
     """The board's centre in the base frame, also the centre of its tilts; MissingModel if unknown."""
     if not table.known_pose or table.origin_m is None:
-        raise MissingModel(
-            "the calibration board's pose is unknown: set known_pose = true and origin_m in [table]"
-        )
+        raise MissingModel("the calibration board's pose is unknown: set known_pose = true and origin_m in [table]")
     return table.origin_m
 
 

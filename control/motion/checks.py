@@ -84,9 +84,7 @@ def sample_tip(spline: CartesianSpline, rate_Hz: float, least: int) -> TipSample
     )
 
 
-def solve_joints(
-    kinematics: PoseKinematics, task: Task, tip: TipSamples, posture: Sequence[Array]
-) -> JointSamples:
+def solve_joints(kinematics: PoseKinematics, task: Task, tip: TipSamples, posture: Sequence[Array]) -> JointSamples:
     """Joint samples nearest to a posture: its angles, which are the seeds, speeds and accelerations (m, n).
 
         J qd = v,    J qdd = a - Jdot qd
@@ -105,9 +103,7 @@ def solve_joints(
         speed = joint_rates(task, jacobian, velocity, posture_speed)
         change = change - _bias(kinematics, found.q_rad, speed)
         acceleration = joint_rates(task, jacobian, change, posture_acceleration)
-    return JointSamples(
-        found.q_rad, speed, acceleration, margins(task, jacobian), found.is_solved, jacobian, found.error
-    )
+    return JointSamples(found.q_rad, speed, acceleration, margins(task, jacobian), found.is_solved, jacobian, found.error)
 
 
 def _twists(tip: TipSamples) -> tuple[Array, Array]:
@@ -169,24 +165,14 @@ def check_poses(
     waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, joints: JointSamples, limits: JointLimits
 ) -> None:
     """Raise PathError unless every pose exists, is within the joints' range and far enough from singular."""
-    _require(
-        joints.is_solved,
-        waypoints,
-        times_s,
-        tip,
-        lambda i: "the arm cannot follow the path there on this branch",
-    )
+    _require(joints.is_solved, waypoints, times_s, tip, lambda i: "the arm cannot follow the path there on this branch")
     for joint in range(joints.q_rad.shape[1]):
         q = joints.q_rad[:, joint]
         low, high = limits.lower_rad[joint], limits.upper_rad[joint]
         beyond = np.maximum(q - high, low - q)
 
-        def say(
-            i: int, joint: int = joint, low: float = low, high: float = high, beyond: Array = beyond
-        ) -> str:
-            return (
-                f"joint {joint + 1} would be {beyond[i]:.4f} rad outside of its range {low:.4f} to {high:.4f}"
-            )
+        def say(i: int, joint: int = joint, low: float = low, high: float = high, beyond: Array = beyond) -> str:
+            return f"joint {joint + 1} would be {beyond[i]:.4f} rad outside of its range {low:.4f} to {high:.4f}"
 
         _require(beyond <= _ROUNDING_RAD, waypoints, times_s, tip, say, -beyond)
     margin = joints.smallest_singular_m
@@ -227,17 +213,13 @@ def check_clearance(
         height = np.where(is_over, heights, points[:, 2] - floor)
         height = height if what == "tip" else height - arm.links[-1].radius_m
 
-        def say(
-            i: int, what: str = what, height: Array = height, is_over: NDArray[np.bool_] = is_over
-        ) -> str:
+        def say(i: int, what: str = what, height: Array = height, is_over: NDArray[np.bool_] = is_over) -> str:
             return f"the {what} would go {-height[i]:.4f} m below the {'table' if is_over[i] else 'floor'}"
 
         _require(height >= -TOUCH_TOLERANCE_M, waypoints, times_s, tip, say, height)
 
 
-def check_room(
-    arm: Arm, waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, q_rad: Array
-) -> None:
+def check_room(arm: Arm, waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, q_rad: Array) -> None:
     """Raise PathError where any link would meet floor, table or its own base, as the loop's guard sees it.
 
     An arm that begins inside may move out.
@@ -261,24 +243,17 @@ def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: 
     """
     found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / of_tip.tip_speed_m_s)]
     if tip.turn is not None:
-        speed, acceleration = (
-            np.linalg.norm(rate, axis=1) for rate in (tip.turn.velocity_rad_s, tip.turn.acceleration_rad_s2)
-        )
+        speed, acceleration = (np.linalg.norm(rate, axis=1) for rate in (tip.turn.velocity_rad_s, tip.turn.acceleration_rad_s2))
         found += [
             Demand("turning speed of the tip", speed / of_tip.tip_turn_speed_rad_s),
-            Demand(
-                "turning acceleration of the tip", np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2)
-            ),
+            Demand("turning acceleration of the tip", np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2)),
         ]
     jerk = _jerk(tip, joints.acceleration_rad_s2)
     for j in range(joints.q_rad.shape[1]):
         name = f"joint {j + 1}"
         found += [
             Demand(f"{name} speed", np.abs(joints.speed_rad_s[:, j]) / limits.speed_rad_s[j]),
-            Demand(
-                f"{name} acceleration",
-                np.sqrt(np.abs(joints.acceleration_rad_s2[:, j]) / limits.acceleration_rad_s2[j]),
-            ),
+            Demand(f"{name} acceleration", np.sqrt(np.abs(joints.acceleration_rad_s2[:, j]) / limits.acceleration_rad_s2[j])),
             Demand(f"{name} jerk", np.cbrt(np.abs(jerk[:, j]) / limits.jerk_rad_s3[j])),
         ]
     return found

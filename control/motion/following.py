@@ -56,9 +56,7 @@ class Follower(Protocol):
         """PathError if a way-point cannot be reached from this start."""
         ...
 
-    def follow(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
-    ) -> Followed:
+    def follow(self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float) -> Followed:
         """Sample the path at a rate, or at LEAST_SAMPLES a section."""
         ...
 
@@ -81,9 +79,7 @@ def turns_rad(orientations: Sequence[Quaternion]) -> tuple[float, ...]:
 class OrientationSpline:
     """Orientations at `times_s` (k + 1), and all between them. `rests` (k + 1): where the tip does not turn."""
 
-    def __init__(
-        self, times_s: Sequence[float], orientations: Sequence[Quaternion], rests: Sequence[bool]
-    ) -> None:
+    def __init__(self, times_s: Sequence[float], orientations: Sequence[Quaternion], rests: Sequence[bool]) -> None:
         at = rotations.matrices(np.array(orientations, dtype=np.float64))
         self._starts, back = at[:-1], np.swapaxes(at[:-1], 1, 2)
         turn = rotations.logarithms(back @ at[1:])
@@ -170,17 +166,13 @@ def joint_sections(tip: TipSamples, joints: JointSamples, stretch: float) -> Joi
 
 def _states(joints: JointSamples, waypoint: NDArray[np.int64], stretch: float) -> Array:
     """Angle, speed and acceleration (m, 3, n); of one angle and speed at each way-point, and at rest at both ends."""
-    states = np.stack(
-        (joints.q_rad, joints.speed_rad_s / stretch, joints.acceleration_rad_s2 / stretch**2), axis=1
-    )
+    states = np.stack((joints.q_rad, joints.speed_rad_s / stretch, joints.acceleration_rad_s2 / stretch**2), axis=1)
     states[waypoint, :2] = states[waypoint - 1, :2] = 0.5 * (states[waypoint, :2] + states[waypoint - 1, :2])
     states[[0, -1], 1] = 0.0
     return states
 
 
-def _departures(
-    times_s: Array, states: Array, jacobian: Array, is_knot: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def _departures(times_s: Array, states: Array, jacobian: Array, is_knot: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Distance [m] and angle [rad] (m,) of the tip at the quintics between the knots from the tip at the samples."""
     knots = np.flatnonzero(is_knot)
     section = np.minimum(np.cumsum(is_knot) - 1, len(knots) - 2)
@@ -211,9 +203,7 @@ class BranchFollower:
             raise PathError(f"{self._waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
 
         def distance(solution: Solution) -> tuple[bool, float]:
-            return not solution.within_limits, max(
-                abs(a - b) for a, b in zip(solution.q, q_near, strict=True)
-            )
+            return not solution.within_limits, max(abs(a - b) for a, b in zip(solution.q, q_near, strict=True))
 
         yield from (PathStart(solution.q, solution.branch) for solution in sorted(solutions, key=distance))
 
@@ -225,13 +215,9 @@ class BranchFollower:
             try:
                 self._inverse.solve(point, start.branch)
             except ArmError as problem:
-                raise PathError(
-                    f"{self._waypoints.name(number)}: {problem}; nothing was moved", number
-                ) from problem
+                raise PathError(f"{self._waypoints.name(number)}: {problem}; nothing was moved", number) from problem
 
-    def follow(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
-    ) -> Followed:
+    def follow(self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float) -> Followed:
         """Newton from scalar solutions, at most SEED_STEP_M apart."""
         tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)
         times, poses, at_waypoints = self._seeds(recipe, spline, start.q_rad)
@@ -279,11 +265,7 @@ class ReferencePosture:
         section = np.clip(np.searchsorted(self._times_s, times_s, "right") - 1, 0, len(self._c0) - 1)
         t = (times_s - self._times_s[section])[:, None]
         c1, c2, c3 = self._c1[section], self._c2[section], self._c3[section]
-        return (
-            self._c0[section] + t * (c1 + t * (c2 + t * c3)),
-            c1 + t * (2.0 * c2 + 3.0 * t * c3),
-            2.0 * c2 + 6.0 * t * c3,
-        )
+        return (self._c0[section] + t * (c1 + t * (c2 + t * c3)), c1 + t * (2.0 * c2 + 3.0 * t * c3), 2.0 * c2 + 6.0 * t * c3)
 
 
 JUMP_RAD = 0.5  # between two steps; more is a jump to another solution
@@ -320,9 +302,7 @@ class PostureFollower:
     def check(self, start: PathStart) -> None:
         """Nothing: following the path finds what cannot be reached."""
 
-    def follow(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
-    ) -> Followed:
+    def follow(self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float) -> Followed:
         """Every sample by Newton from the reference posture."""
         turn = self._turn(recipe, spline)
         if self._known is None or self._known[0] is not start:
@@ -349,12 +329,7 @@ class PostureFollower:
             return tip
         into = tip.times_s - np.array(spline.times_s)[tip.section]
         return TipSamples(
-            tip.times_s,
-            tip.section,
-            tip.position_m,
-            tip.velocity_m_s,
-            tip.acceleration_m_s2,
-            turn.sample(tip.section, into),
+            tip.times_s, tip.section, tip.position_m, tip.velocity_m_s, tip.acceleration_m_s2, turn.sample(tip.section, into)
         )
 
     # ---- the reference posture
@@ -365,11 +340,7 @@ class PostureFollower:
         return np.interp(fractions, np.arange(len(spline.times_s)), spline.times_s).tolist()
 
     def _postures(
-        self,
-        recipe: TimedWaypoints,
-        spline: CartesianSpline,
-        turn: OrientationSpline | None,
-        start: PathStart,
+        self, recipe: TimedWaypoints, spline: CartesianSpline, turn: OrientationSpline | None, start: PathStart
     ) -> tuple[list[float], list[Pose]]:
         """Fractions and poses, followed in small steps from the start."""
         turns = recipe.turns_rad or (0.0,) * len(recipe.lengths_m)
@@ -395,18 +366,14 @@ class PostureFollower:
             poses.append(found.q_rad)
         return fractions, [tuple(q[0].tolist()) for q in poses]
 
-    def _lost(
-        self, position: Sequence[float], found: pose_inverse.SolvedPoses, travel_rad: float
-    ) -> ArmError:
+    def _lost(self, position: Sequence[float], found: pose_inverse.SolvedPoses, travel_rad: float) -> ArmError:
         """Why no pose follows the one before."""
         off_m = float(np.linalg.norm(found.error[0, :3]))
         if found.is_solved[0]:
             return problems.jump(self._name, position, travel_rad, JUMP_RAD)
         if off_m > pose_inverse.POSITION_TOLERANCE_M:
             return problems.out_of_reach(self._name, position, off_m)
-        margin = float(
-            pose_inverse.margins(self._task, found.tip.jacobian)[0]
-        )  # so near, Newton's method only fails there
+        margin = float(pose_inverse.margins(self._task, found.tip.jacobian)[0])  # so near, Newton's method only fails there
         pose = "losing a direction of motion"
         return problems.near_singular(self._name, position, "arm", margin, SINGULAR_MARGIN_M, "m/rad", pose)
 
@@ -476,7 +443,5 @@ class PostureRule:
     def _gradient(self, q_rad: Array) -> Array:
         """Of the margin, (1, n), by central differences."""
         steps = _MARGIN_SLOPE_RAD * np.eye(q_rad.shape[1])
-        around = pose_inverse.margins(
-            self._task, self._kinematics.batch(np.vstack((q_rad + steps, q_rad - steps))).jacobian
-        )
+        around = pose_inverse.margins(self._task, self._kinematics.batch(np.vstack((q_rad + steps, q_rad - steps))).jacobian)
         return np.asarray((around[: len(steps)] - around[len(steps) :])[None] / (2.0 * _MARGIN_SLOPE_RAD))

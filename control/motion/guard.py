@@ -26,16 +26,11 @@ from control.motion.setpoint import Motion, SetPoint
 from control.safety.workspace import Clearance, LinkThickness, Workspace
 
 STEP_rad = 0.02  # between checked poses of a joint move: 15 mm at 0.75 m
-_STOP_STEP_s = (
-    0.015  # between checked poses of a stop: at 10 m/s^2 the tip departs from their chords by 0.3 mm
-)
+_STOP_STEP_s = 0.015  # between checked poses of a stop: at 10 m/s^2 the tip departs from their chords by 0.3 mm
 _HARDNESSES = (0, 2, HARDEST)  # of the stops that are tried: one cycle must be enough to choose
 _POSES_MOST = 500
 _DEEPER_m = 1e-6  # rounding
-_CLOSE_STEP_s, _CLOSE_POSES = (
-    0.01,
-    150,
-)  # of a motion that begins inside of something: as close as the loop looks
+_CLOSE_STEP_s, _CLOSE_POSES = (0.01, 150)  # of a motion that begins inside of something: as close as the loop looks
 ROOM_m = 0.05  # an arm with so much is not looked at again until it may have used it up
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
@@ -196,11 +191,7 @@ class Guard:
         self._require_clear(corners, np.asarray(times_s), self.clearance(here_rad), self._body)
 
     def _require_clear(
-        self,
-        corners: list[NDArray[np.float64]],
-        times_s: NDArray[np.float64],
-        here: Clearance,
-        body: LinkThickness,
+        self, corners: list[NDArray[np.float64]], times_s: NDArray[np.float64], here: Clearance, body: LinkThickness
     ) -> None:
         found = list(self._workspace.clearances(corners, body))
         if not found:
@@ -213,9 +204,7 @@ class Guard:
         k = int(np.argmin(deeper))
         if deeper[k] < math.inf:
             what = found[int(np.argmin(distances_m[:, k]))][1]
-            raise MotionError(
-                f"{what}, {-least_m[k]:.3f} m deeper than allowed, after {float(times_s[k]):.2f} s; {_REMEDY}"
-            )
+            raise MotionError(f"{what}, {-least_m[k]:.3f} m deeper than allowed, after {float(times_s[k]):.2f} s; {_REMEDY}")
 
 
 def _step(count: int) -> int:

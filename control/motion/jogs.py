@@ -177,11 +177,7 @@ class DampedRates:
         exact = rows[list(task.exact)]
         self._nearest = rows[list(task.nearest)]
         u, s, vt = np.linalg.svd(exact) if task.exact else (np.eye(0), np.empty(0), np.eye(rows.shape[1]))
-        self.margin_m = (
-            float(s[-1])
-            if task.exact
-            else float(np.linalg.svd(self._nearest, compute_uv=False)[task.rank - 1])
-        )
+        self.margin_m = float(s[-1]) if task.exact else float(np.linalg.svd(self._nearest, compute_uv=False)[task.rank - 1])
         weakness = max(0.0, 1.0 - (self.margin_m / SAFE_M) ** 2)
         gain = s / (s * s + MOST_M**2 * weakness) if s.size else s
         self._inverse = vt[: len(s)].T @ (gain[:, None] * u.T)
@@ -248,13 +244,7 @@ class TipJog:
     """
 
     def __init__(
-        self,
-        start: SetPoint,
-        kinematics: PoseKinematics,
-        task: Task,
-        limits: JointLimits,
-        tip_speed_m_s: float,
-        guard: RestGuard,
+        self, start: SetPoint, kinematics: PoseKinematics, task: Task, limits: JointLimits, tip_speed_m_s: float, guard: RestGuard
     ) -> None:
         """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed."""
         self._kinematics, self._task, self._limits, self._guard = kinematics, task, limits, guard
@@ -396,18 +386,13 @@ class TipJog:
         if self._is_slow:
             there, rate = DampedRates(self._task, self._at(rest)[2]), np.array(self._tip.rate)
             if there.margin_m < self._rates.margin_m and there.share(rate) < _PARTLY:
-                return (
-                    "the arm would come too near a singular pose; the joints can hardly move the tip this way"
-                )
+                return "the arm would come too near a singular pose; the joints can hardly move the tip this way"
         return self._guard.objection(rest, self._joints.q_rad)
 
     def _slowness(self) -> tuple[float, float]:
         """Shares of the tip's requested rate and acceleration that half of the joints' limits allow."""
         wanted = self._wanted if self._wanted != STILL else self._tip.rate
-        size = max(
-            math.hypot(*wanted[:3]) / TIP_ACCELERATION_m_s2,
-            math.hypot(*wanted[3:]) / TURN_ACCELERATION_rad_s2,
-        )
+        size = max(math.hypot(*wanted[:3]) / TIP_ACCELERATION_m_s2, math.hypot(*wanted[3:]) / TURN_ACCELERATION_rad_s2)
         if size == 0.0:
             return 1.0, 1.0
         share = ease = 1.0

@@ -28,9 +28,7 @@ class JointLimits:
         for drive in drives:
             for quantity in ("speed_limit_rad_s", "acceleration_limit_rad_s2", "jerk_limit_rad_s3"):
                 if not math.isfinite(getattr(drive, f"joint_{quantity}")):
-                    raise MissingModel(
-                        f"arm {arm.name}: to move, joint {drive.joint} needs joint_{quantity} in its [[drive]]"
-                    )
+                    raise MissingModel(f"arm {arm.name}: to move, joint {drive.joint} needs joint_{quantity} in its [[drive]]")
         room = usable_range_rad(arm)
         return JointLimits(
             lower_rad=tuple(lower for lower, _ in room),
@@ -95,10 +93,7 @@ class JogLimits:
         """The limits of an arm; a single joint's speed keeps the tip's limit with the arm fully stretched."""
         limits = JointLimits.of(arm)
         tip_m_s = min(arm.limits.jog_tip_speed_m_s, arm.limits.tip_speed_m_s)
-        speeds = tuple(
-            min(speed, tip_m_s / reach)
-            for speed, reach in zip(limits.speed_rad_s, reaches_m(arm), strict=True)
-        )
+        speeds = tuple(min(speed, tip_m_s / reach) for speed, reach in zip(limits.speed_rad_s, reaches_m(arm), strict=True))
         return JogLimits(_with_speed(limits, speeds), limits, tip_m_s, arm.limits.jog_silence_s)
 
     def unhomed(self) -> "JogLimits":
@@ -107,11 +102,7 @@ class JogLimits:
         slow = tuple(min(speed, UNHOMED_SPEED_rad_s) for speed in self.joints.speed_rad_s)
         limits = _with_speed(self.joints, slow)
         endless = JointLimits(
-            (-math.inf,) * count,
-            (math.inf,) * count,
-            limits.speed_rad_s,
-            limits.acceleration_rad_s2,
-            limits.jerk_rad_s3,
+            (-math.inf,) * count, (math.inf,) * count, limits.speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3
         )
         return JogLimits(endless, endless, self.tip_speed_m_s, self.silence_s)
 
@@ -136,6 +127,4 @@ def _lengths_m(arm: Arm) -> list[float]:
 
 
 def _with_speed(limits: JointLimits, speed_rad_s: tuple[float, ...]) -> JointLimits:
-    return JointLimits(
-        limits.lower_rad, limits.upper_rad, speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3
-    )
+    return JointLimits(limits.lower_rad, limits.upper_rad, speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3)

@@ -38,11 +38,7 @@ class JointMove:
     __slots__ = ("_end", "_trajectory", "duration_s")
 
     def __init__(
-        self,
-        start: SetPoint | Sequence[float],
-        q_to_rad: Sequence[float],
-        limits: JointLimits,
-        speed_fraction: float = 1.0,
+        self, start: SetPoint | Sequence[float], q_to_rad: Sequence[float], limits: JointLimits, speed_fraction: float = 1.0
     ) -> None:
         state = start if isinstance(start, SetPoint) else at_rest(tuple(start))
         target = tuple(float(q) for q in q_to_rad)
@@ -86,9 +82,7 @@ class StopMotion:
         if time_s >= self.duration_s:
             return self._end
         each = [_sample(trajectory, min(time_s, trajectory.duration)) for trajectory in self._trajectories]
-        q, speed, acceleration = (
-            tuple(column[0] for column in columns) for columns in zip(*each, strict=True)
-        )
+        q, speed, acceleration = (tuple(column[0] for column in columns) for columns in zip(*each, strict=True))
         return SetPoint(q, speed, acceleration)
 
 
@@ -107,9 +101,7 @@ class StraightStop:
             min(limit / abs(v) for limit, v in zip(each, speed, strict=True) if v)
             for each in (means.acceleration_rad_s2, means.jerk_rad_s3)
         )
-        along = sum(a * v for a, v in zip(state.acceleration_rad_s2, speed, strict=True)) / sum(
-            v * v for v in speed
-        )
+        along = sum(a * v for a, v in zip(state.acceleration_rad_s2, speed, strict=True)) / sum(v * v for v in speed)
         begun = SetPoint((0.0,), (1.0,), (min(max(along, -most), most),))
         line = JointLimits((-math.inf,), (math.inf,), (1.0,), (most,), (jerk,))
         self._start, self._trajectory = state, _calculate(begun, None, line)
@@ -237,8 +229,7 @@ def _require_way_inside(trajectory: "ruckig.Trajectory", state: SetPoint, limits
         beyond = max(high - upper, lower - low)
         if beyond > _ROUNDING_RAD:
             raise MotionError(
-                f"joint move: joint {joint + 1} is too fast and would leave its range by {beyond:.4f} rad:"
-                " stop first"
+                f"joint move: joint {joint + 1} is too fast and would leave its range by {beyond:.4f} rad: stop first"
             )
 
 
@@ -272,10 +263,7 @@ def calculated(asked: Any, jerk: Sequence[float], what: str) -> "ruckig.Trajecto
         asked.max_jerk = [limit * share for limit in jerk]
         try:
             result = ruckig.Ruckig(len(jerk)).calculate(asked, trajectory)
-        except (
-            ruckig.RuckigError,
-            ValueError,
-        ):  # ValueError: a result that its own Result does not know, such as -101
+        except (ruckig.RuckigError, ValueError):  # ValueError: a result that its own Result does not know, such as -101
             continue
         if result in (ruckig.Result.Working, ruckig.Result.Finished):
             return trajectory

@@ -71,9 +71,7 @@ class JointPath:
         k = bisect_right(self.times_s, time_s) - 1
         h = self.times_s[k + 1] - self.times_s[k]
         if k != self._at:
-            self._section = tuple(
-                quintic(h, *ends) for ends in zip(*self._knot(k), *self._knot(k + 1), strict=True)
-            )
+            self._section = tuple(quintic(h, *ends) for ends in zip(*self._knot(k), *self._knot(k + 1), strict=True))
             self._at = k
         return _sampled(self._section, (time_s - self.times_s[k]) / h, h)
 
@@ -102,19 +100,14 @@ class JointPath:
         is_fast = abs(speed) > most[0, j]
         what, value = ("rad/s", speed) if is_fast else ("rad/s^2", acceleration)
         limit = (limits.speed_rad_s if is_fast else limits.acceleration_rad_s2)[j]
-        raise MotionError(
-            f"joint path: joint {j + 1} asks for {value:.4g} {what} after {time_s:.3f} s, its limit is {limit:.4g}"
-        )
+        raise MotionError(f"joint path: joint {j + 1} asks for {value:.4g} {what} after {time_s:.3f} s, its limit is {limit:.4g}")
 
     def to_message(self) -> dict[str, Any]:
         """Plain lists, for JSON, to 1e-10: all digits of a float would be half as long again, and a request has an end."""
         import numpy as np
 
         columns = np.moveaxis(self._table, 1, 0).round(_DECIMALS).tolist()
-        return {
-            "times_s": np.round(self.times_s, _DECIMALS).tolist(),
-            **dict(zip(_GROUPS, columns, strict=True)),
-        }
+        return {"times_s": np.round(self.times_s, _DECIMALS).tolist(), **dict(zip(_GROUPS, columns, strict=True))}
 
     @staticmethod
     def from_message(message: Mapping[str, Any]) -> "JointPath":
@@ -127,24 +120,16 @@ class JointPath:
                 raise ValueError("times_s is no list of numbers")
             groups = [message[name] for name in _GROUPS]
             lengths = {
-                length
-                for rows in groups
-                for length in ({rows.shape[1]} if isinstance(rows, np.ndarray) else set(map(len, rows)))
+                length for rows in groups for length in ({rows.shape[1]} if isinstance(rows, np.ndarray) else set(map(len, rows)))
             }
             if len(lengths) > 1:
                 raise MotionError(f"joint path: expected {len(groups[0][0])} joints in every knot")
-            return JointPath(
-                times.tolist(), np.stack([np.asarray(rows, dtype=np.float64) for rows in groups], axis=1)
-            )
+            return JointPath(times.tolist(), np.stack([np.asarray(rows, dtype=np.float64) for rows in groups], axis=1))
         except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
-            raise MotionError(
-                f"joint path message: expected what JointPath.to_message() gives ({error!r})"
-            ) from None
+            raise MotionError(f"joint path message: expected what JointPath.to_message() gives ({error!r})") from None
 
 
-def _checked(
-    times_s: Sequence[float], knots: "Iterable[SetPoint] | NDArray[np.float64]"
-) -> "NDArray[np.float64]":
+def _checked(times_s: Sequence[float], knots: "Iterable[SetPoint] | NDArray[np.float64]") -> "NDArray[np.float64]":
     """The numbers of all knots, (k, 3, joints). MotionError if they are no path."""
     import numpy as np
 
@@ -166,9 +151,7 @@ def _checked(
     steps = np.diff(times)
     is_jump = (steps == 0.0) & (found[1:, :2] != found[:-1, :2]).any(axis=(1, 2))
     if times[0] != 0.0 or (steps < 0.0).any() or is_jump.any() or not steps[[0, -1]].all():
-        raise MotionError(
-            "joint path: expected times that increase from 0, or twice one time between with one angle and speed"
-        )
+        raise MotionError("joint path: expected times that increase from 0, or twice one time between with one angle and speed")
     if found[[0, -1], 1].any():
         raise MotionError("joint path: expected it to begin and to end at rest")
     return found

@@ -19,9 +19,7 @@ class Lookout:
     __slots__ = ("_motion", "_seen_s")
 
     def __init__(self, motion: Motion) -> None:
-        self._motion = copy(
-            motion
-        )  # a path continues from the pose that it gave last, so the arm's own is left alone
+        self._motion = copy(motion)  # a path continues from the pose that it gave last, so the arm's own is left alone
         self._seen_s = 0.0
 
     def poses(self, time_s: float) -> list[SetPoint]:

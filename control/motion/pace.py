@@ -24,13 +24,7 @@ class Paced:
 
     __slots__ = ("_beside", "_limits", "_rate", "motion", "pace", "time_s")
 
-    def __init__(
-        self,
-        motion: Motion,
-        acceleration_rad_s2: Sequence[float],
-        pace: float,
-        beside: Sequence[Limited] = (),
-    ) -> None:
+    def __init__(self, motion: Motion, acceleration_rad_s2: Sequence[float], pace: float, beside: Sequence[Limited] = ()) -> None:
         """Start a motion from rest at any pace from 0 to 1.
 
         `beside`: motions of other arms that began with it and keep its pace, so that all stay where they should be to each other.
@@ -98,9 +92,7 @@ class Paced:
         r = self.pace
         return SetPoint(q, tuple(v * r for v in speed), tuple(a * r * r for a in acceleration))
 
-    def _next_rate(
-        self, wanted: float, elapsed_s: float, joints: Sequence[tuple[float, float, float]]
-    ) -> float:
+    def _next_rate(self, wanted: float, elapsed_s: float, joints: Sequence[tuple[float, float, float]]) -> float:
         """By the speed, acceleration and acceleration limit of every joint of every arm."""
         left = wanted - self.pace
         # so that the rate also ends at zero

@@ -35,14 +35,7 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.pace import Stretched
 from control.motion.setpoint import Motion, Vector
-from control.motion.spline import (
-    DEFAULT_PACE_M_S,
-    CartesianSpline,
-    TimedWaypoints,
-    checked_points,
-    hermite,
-    timed,
-)
+from control.motion.spline import DEFAULT_PACE_M_S, CartesianSpline, TimedWaypoints, checked_points, hermite, timed
 from control.motion.waypoints import Waypoints
 
 T = TypeVar("T")
@@ -163,9 +156,7 @@ def _each(starts: Iterable[following.PathStart], plan: Callable[[following.PathS
 class _Planner:
     """Tries the path of one arm through one set of way-points on a branch."""
 
-    def __init__(
-        self, arm: Arm, waypoints: Waypoints, setup: str, inverse: InverseKinematics | None = None
-    ) -> None:
+    def __init__(self, arm: Arm, waypoints: Waypoints, setup: str, inverse: InverseKinematics | None = None) -> None:
         self._arm, self._waypoints, self._setup = arm, waypoints, setup
         self._limits = JointLimits.of(arm)
         self._inverse = inverse or InverseKinematics(arm)
@@ -202,9 +193,7 @@ class _Planner:
         seen, rest = self._checked(recipe, recipe.spline(), start, causes)
         spline = recipe.spline().stretched(rest) if rest > 1.0 else recipe.spline()
         taken = np.diff(spline.times_s) / asked
-        slowdowns = tuple(
-            Slowdown(float(taken[i]), number, limit) for i, (_, number, limit) in sorted(causes.items())
-        )
+        slowdowns = tuple(Slowdown(float(taken[i]), number, limit) for i, (_, number, limit) in sorted(causes.items()))
         joints = self._joint_path(seen, rest)
         return PlannedPath(spline, seen.at_waypoints, joints, str(start.branch or ""), slowdowns)
 
@@ -246,22 +235,12 @@ class _Planner:
         """Checks that do not depend on speed."""
         checks.check_poses(self._waypoints, spline.times_s, tip, joints, self._limits)
         checks.check_clearance(
-            self._arm,
-            self._inverse.kinematics,
-            self._setup,
-            self._waypoints,
-            spline.times_s,
-            tip,
-            joints.q_rad,
+            self._arm, self._inverse.kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
         )
         checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
 
     def _factors(
-        self,
-        spline: CartesianSpline,
-        tip: TipSamples,
-        joints: JointSamples,
-        causes: dict[int, tuple[float, int, str]],
+        self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples, causes: dict[int, tuple[float, int, str]]
     ) -> Array:
         """How much slower each section has to be (n,); `causes` gets the decisive limit and its place."""
         found = checks.demands(tip, joints, self._limits, self._arm.limits)
@@ -319,9 +298,7 @@ class Beside:
     offsets: CartesianSpline
 
 
-def plan_beside(
-    cell: Cell, name: str, other: str, motion: Motion, offsets: Waypoints, q_near_rad: Sequence[float]
-) -> Beside:
+def plan_beside(cell: Cell, name: str, other: str, motion: Motion, offsets: Waypoints, q_near_rad: Sequence[float]) -> Beside:
     """Plan arm `name` along `offsets` from the tip of arm `other`, which runs `motion` from rest to rest.
 
     Both are where they should be to each other if they begin together and the runtime stretches the other's motion to this one's
@@ -359,9 +336,7 @@ def _times(way: CartesianSpline) -> list[float]:
     return [float(time_s) for time_s in np.sort(np.concatenate((even[is_far], own)))]
 
 
-def _sum(
-    cell: Cell, name: str, other: str, motion: Motion, way: CartesianSpline, times_s: Sequence[float]
-) -> CartesianSpline:
+def _sum(cell: Cell, name: str, other: str, motion: Motion, way: CartesianSpline, times_s: Sequence[float]) -> CartesianSpline:
     """The tip in this arm's base frame: cubics through place and speed at each time."""
     own, beside = cell.placed(name), cell.placed(other)
     jacobian_at = ForwardKinematics(beside.arm).tip_jacobian

@@ -38,9 +38,7 @@ class CartesianSpline:
         self.coefficients = tuple(tuple(section) for section in coefficients)
         self.duration_s = self.times_s[-1]
         self._starts = self.times_s[:-1]
-        self._sections = tuple(
-            (start, *section) for start, section in zip(self._starts, self.coefficients, strict=True)
-        )
+        self._sections = tuple((start, *section) for start, section in zip(self._starts, self.coefficients, strict=True))
 
     def at(self, time_s: float) -> tuple[Vector, Vector, Vector]:
         """Position [m], velocity [m/s] and acceleration [m/s^2] at `time_s`, clamped to the path's time."""
@@ -53,11 +51,7 @@ class CartesianSpline:
         t = time_s - start
         x3t, y3t, z3t = 3.0 * x3 * t, 3.0 * y3 * t, 3.0 * z3 * t
         return (
-            (
-                x0 + t * (x1 + t * (x2 + t * x3)),
-                y0 + t * (y1 + t * (y2 + t * y3)),
-                z0 + t * (z1 + t * (z2 + t * z3)),
-            ),
+            (x0 + t * (x1 + t * (x2 + t * x3)), y0 + t * (y1 + t * (y2 + t * y3)), z0 + t * (z1 + t * (z2 + t * z3))),
             (x1 + t * (2.0 * x2 + x3t), y1 + t * (2.0 * y2 + y3t), z1 + t * (2.0 * z2 + z3t)),
             (2.0 * (x2 + x3t), 2.0 * (y2 + y3t), 2.0 * (z2 + z3t)),
         )
@@ -69,21 +63,14 @@ class CartesianSpline:
         return CartesianSpline((t * factor for t in self.times_s), scaled)
 
 
-def hermite(
-    points: Sequence[Vector], velocities: Sequence[Vector], times: Sequence[float]
-) -> CartesianSpline:
+def hermite(points: Sequence[Vector], velocities: Sequence[Vector], times: Sequence[float]) -> CartesianSpline:
     """Sections from positions [m] and velocities [m/s] at their ends (n + 1) and their durations [s] (n)."""
     starts, coefficients = [0.0], []
     for i, duration in enumerate(times):
         section: list[float] = []
         for p0, p1, v0, v1 in zip(points[i], points[i + 1], velocities[i], velocities[i + 1], strict=True):
             slope = (p1 - p0) / duration
-            section += (
-                p0,
-                v0,
-                (3.0 * slope - 2.0 * v0 - v1) / duration,
-                (v0 + v1 - 2.0 * slope) / duration**2,
-            )
+            section += (p0, v0, (3.0 * slope - 2.0 * v0 - v1) / duration, (v0 + v1 - 2.0 * slope) / duration**2)
         coefficients.append(section)
         starts.append(starts[-1] + duration)
     return CartesianSpline(starts, coefficients)
@@ -111,8 +98,7 @@ class TimedWaypoints:
         """The cubics through the points at these speeds."""
         times = section_times(self.lengths_m, self.speeds_m_s, self.paces_m_s)
         velocities: list[Vector] = [
-            (speed * t[0], speed * t[1], speed * t[2])
-            for speed, t in zip(self.speeds_m_s, self.tangents, strict=True)
+            (speed * t[0], speed * t[1], speed * t[2]) for speed, t in zip(self.speeds_m_s, self.tangents, strict=True)
         ]
         if self.is_acceleration_continuous:
             joined = continuous_velocities(self.points, times, velocities[0], velocities[-1])
@@ -163,9 +149,7 @@ def timed(
     for i, (length, as_long) in enumerate(zip(lengths, counted, strict=True)):
         if as_long > length:  # the tip turns more than it moves: it passes both ends slower
             actual[i : i + 2] = [min(speed, length / as_long * paces[i]) for speed in actual[i : i + 2]]
-    corners = [
-        (i + 1, factors[i]) for i in range(1, len(points) - 1) if factors[i] < 1.0 - 1e-9 and asked[i] > 0.0
-    ]
+    corners = [(i + 1, factors[i]) for i in range(1, len(points) - 1) if factors[i] < 1.0 - 1e-9 and asked[i] > 0.0]
     return TimedWaypoints(
         points=tuple(points),
         tangents=tuple(directions),
@@ -215,16 +199,12 @@ def checked_points(waypoints: Iterable[Iterable[float]], turns_rad: Sequence[flo
     for number, waypoint in enumerate(waypoints, 1):
         point = tuple(float(value) for value in waypoint)
         if len(point) != 3 or not all(map(math.isfinite, point)):
-            raise PathError(
-                f"way-point {number}: expected three finite numbers x, y, z in m, got {point}", number
-            )
+            raise PathError(f"way-point {number}: expected three finite numbers x, y, z in m, got {point}", number)
         is_same = points and chord(points[-1], (point[0], point[1], point[2]))[1] < _COINCIDENT_M
         if is_same and len(turns_rad) >= len(points) and turns_rad[len(points) - 1] > _COINCIDENT_RAD:
             point = points[-1]
         elif is_same:
-            raise PathError(
-                f"way-points {number - 1} and {number} are the same point {point}: remove one", number
-            )
+            raise PathError(f"way-points {number - 1} and {number} are the same point {point}: remove one", number)
         points.append((point[0], point[1], point[2]))
     if len(points) < 2:
         raise PathError(f"a path needs at least two way-points, got {len(points)}")
@@ -233,13 +213,9 @@ def checked_points(waypoints: Iterable[Iterable[float]], turns_rad: Sequence[flo
 
 def _checked_speeds(count: int, speeds: float | Sequence[float]) -> list[float]:
     """One finite speed per point, none negative."""
-    listed = (
-        [float(speeds)] * count if isinstance(speeds, int | float) else [float(speed) for speed in speeds]
-    )
+    listed = [float(speeds)] * count if isinstance(speeds, int | float) else [float(speed) for speed in speeds]
     if len(listed) != count:
-        raise PathError(
-            f"expected one speed for all or one for each of the {count} way-points, got {len(listed)}"
-        )
+        raise PathError(f"expected one speed for all or one for each of the {count} way-points, got {len(listed)}")
     for number, speed in enumerate(listed, 1):
         if not 0.0 <= speed < math.inf:
             raise PathError(f"way-point {number}: expected a speed of 0 m/s or more, got {speed}", number)
@@ -309,9 +285,7 @@ def arc_lengths(points: Sequence[Vector], directions: Sequence[Vector]) -> list[
     lengths = []
     for i in range(len(points) - 1):
         difference, length = chord(points[i], points[i + 1])
-        angles = [
-            angle for angle in (_angle(directions[j], difference) for j in (i, i + 1)) if angle is not None
-        ]
+        angles = [angle for angle in (_angle(directions[j], difference) for j in (i, i + 1)) if angle is not None]
         # Beyond a right angle the chord is not meaningful; a reversal has no tangent and takes its other end's
         # angle.
         phi = min(sum(angles) / len(angles), math.pi / 2.0) if angles else 0.0
@@ -336,16 +310,11 @@ def continuous_velocities(
     T1 v[i-1] + 2 (T0 + T1) v[i] + T0 v[i+1] = 3 (T1/T0 d0 + T0/T1 d1); solved by the Thomas algorithm, which
     needs no pivoting here because the diagonal dominates.
     """
-    axes = [
-        _continuous_axis([p[axis] for p in points], times, first[axis], last[axis])
-        for axis in range(len(first))
-    ]
+    axes = [_continuous_axis([p[axis] for p in points], times, first[axis], last[axis]) for axis in range(len(first))]
     return list(zip(*axes, strict=True))
 
 
-def _continuous_axis(
-    values: Sequence[float], times: Sequence[float], first: float, last: float
-) -> list[float]:
+def _continuous_axis(values: Sequence[float], times: Sequence[float], first: float, last: float) -> list[float]:
     """One axis of `continuous_velocities`."""
     count = len(values) - 2
     upper, right = [0.0] * (count + 1), [first] * (count + 1)

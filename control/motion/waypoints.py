@@ -39,10 +39,7 @@ WAYPOINTS = TableFormat(
             expected="a number from 0 to 10 m/s",
             mistaken_for=("mm/s", 1e-3),
         ),
-        *(
-            TableColumn(name, "orientation of the last link: unit quaternion", may_be_empty=False)
-            for name in ORIENTATION_COLUMNS
-        ),
+        *(TableColumn(name, "orientation of the last link: unit quaternion", may_be_empty=False) for name in ORIENTATION_COLUMNS),
     ),
     groups=(ColumnGroup(ORIENTATION_COLUMNS),),
     unknown="refused",

@@ -60,16 +60,12 @@ def require_one_cell(recordings: Sequence[Recording]) -> None:
     for one in recordings:
         name = arm_of(one)
         if not _about_cell(one):
-            raise RecordError(
-                f"{one.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone"
-            )
+            raise RecordError(f"{one.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone")
         if name in names:
             raise RecordError(f"{one.path}: expected another arm, got {name!r} again")
         names.append(name)
     if len(cells) > 1:
-        raise RecordError(
-            f"{recordings[-1].path}: expected arms of one cell, got those of {', '.join(sorted(cells))}"
-        )
+        raise RecordError(f"{recordings[-1].path}: expected arms of one cell, got those of {', '.join(sorted(cells))}")
 
 
 def arm_of(recording: Recording) -> str:
@@ -87,9 +83,7 @@ def recorded_cell(recordings: Sequence[Recording]) -> Cell:
         except (LookupError, TypeError, ValueError):
             arm = None
         if arm is None:
-            raise RecordError(
-                f"{one.path}: its header does not say what arm {arm_of(one)!r} is, and where it stands"
-            )
+            raise RecordError(f"{one.path}: its header does not say what arm {arm_of(one)!r} is, and where it stands")
         placed.append(Placed(arm, (x, y, z), (qw, qx, qy, qz)))
     return Cell(str(_about_cell(recordings[0])["name"]), tuple(placed))
 
@@ -109,23 +103,14 @@ FILE_NAME = "cell.csv.gz"
 SAME_S = 1e-6  # rounding of stored times
 
 
-def join(
-    recordings: Sequence[Recording],
-    out: Path,
-    every: int = 1,
-    report: Callable[[int], None] = lambda row: None,
-) -> int:
+def join(recordings: Sequence[Recording], out: Path, every: int = 1, report: Callable[[int], None] = lambda row: None) -> int:
     """Write every k-th cycle that all recordings have; returns the number of rows. RecordError unless they are of one run.
 
     Modes are numbers, as in the recordings' header; `report` is called every thousand rows.
     """
     names = [arm_of(one) for one in recordings]
     columns = [[k for k, name in enumerate(one.layout.names) if name not in SHARED] for one in recordings]
-    titles = [
-        f"{arm}.{one.layout.names[k]}"
-        for arm, one, kept in zip(names, recordings, columns, strict=True)
-        for k in kept
-    ]
+    titles = [f"{arm}.{one.layout.names[k]}" for arm, one, kept in zip(names, recordings, columns, strict=True) for k in kept]
     written = 0
     with open_text(out) as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -160,8 +145,7 @@ def _cycles(recordings: Sequence[Recording]) -> Iterator[tuple[int, float, list[
                 rows = [next(stream) for stream in streams]
             else:  # lost by one of the recordings
                 rows = [
-                    row if cycle == newest else next(stream)
-                    for row, cycle, stream in zip(rows, cycles, streams, strict=True)
+                    row if cycle == newest else next(stream) for row, cycle, stream in zip(rows, cycles, streams, strict=True)
                 ]
     except StopIteration:
         return

@@ -21,23 +21,12 @@ __all__ = ["export", "to_csv", "to_mcap"]
 
 Row = dict[str, float]
 CSV_SCALARS = ("run", "t_s", "payload_kg", "x_m", "y_m", "z_m")
-CSV_JOINT = (
-    "q{}_rad",
-    "q{}_set_rad",
-    "speed{}_rad_s",
-    "speed{}_set_rad_s",
-    "i{}_A",
-    "u{}_V",
-    "temperature{}_C",
-    "counted{}_s",
-)
+CSV_JOINT = ("q{}_rad", "q{}_set_rad", "speed{}_rad_s", "speed{}_set_rad_s", "i{}_A", "u{}_V", "temperature{}_C", "counted{}_s")
 DIGITS, STAMP_DIGITS = 9, 12  # a board that is on for ten days stamps 1e6 s, to the microsecond
 CSV_REST = ("cycle", "mode", "late_s", "busy_s", "missed")
 
 
-def to_csv(
-    recording: Recording, path: Path, every: int = 1, report: Callable[[int], None] = lambda row: None
-) -> int:
+def to_csv(recording: Recording, path: Path, every: int = 1, report: Callable[[int], None] = lambda row: None) -> int:
     """Write `path` (.csv or .csv.gz) with every k-th row of each run; returns the number of rows.
 
     Only runs are written, with `t_s` from the start of each; cycles before the first motion are in the MCAP file only. Cells are
@@ -103,11 +92,7 @@ def _rows(recording: Recording) -> Iterator[Row]:
 
 
 def export(
-    path: Path,
-    out: Path,
-    every: int = 1,
-    arm: Arm | None = None,
-    report: Callable[[float], None] = lambda done: None,
+    path: Path, out: Path, every: int = 1, arm: Arm | None = None, report: Callable[[float], None] = lambda done: None
 ) -> dict[str, int]:
     """Write log.csv.gz and log.mcap of a recording into the folder `out`; returns file name -> rows. Refuses to overwrite.
 
@@ -119,8 +104,7 @@ def export(
     drawn = arm or recorded_arm(recording)
     if arm is not None and arm.joint_count != recording.layout.joint_count:
         raise RecordError(
-            f"{path}: expected a recording of {arm.joint_count} joints, as arm {arm.name} has, got"
-            f" {recording.layout.joint_count}"
+            f"{path}: expected a recording of {arm.joint_count} joints, as arm {arm.name} has, got {recording.layout.joint_count}"
         )
     out.mkdir(parents=True, exist_ok=True)
     for name in ("log.csv.gz", "log.mcap"):
@@ -129,11 +113,9 @@ def export(
     rows = max(1, recording.row_count)
     return {
         "log.csv.gz": make_whole(
-            out / "log.csv.gz",
-            lambda file: to_csv(recording, file, every, lambda row: report(0.3 * row / rows)),
+            out / "log.csv.gz", lambda file: to_csv(recording, file, every, lambda row: report(0.3 * row / rows))
         ),
         "log.mcap": make_whole(
-            out / "log.mcap",
-            lambda file: to_mcap(recording, file, every, drawn, lambda row: report(0.3 + 0.7 * row / rows)),
+            out / "log.mcap", lambda file: to_mcap(recording, file, every, drawn, lambda row: report(0.3 + 0.7 * row / rows))
         ),
     }

@@ -27,16 +27,7 @@ from control.recording.frames import (
 )
 
 Integers = npt.NDArray[np.int64]
-NUMPY_OF_CODE: Final = {
-    "d": "<f8",
-    "f": "<f4",
-    "I": "<u4",
-    "i": "<i4",
-    "H": "<u2",
-    "h": "<i2",
-    "B": "u1",
-    "b": "i1",
-}
+NUMPY_OF_CODE: Final = {"d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "H": "<u2", "h": "<i2", "B": "u1", "b": "i1"}
 _UNFINISHED: Final = bytes(range(0x80, 0x100))  # bytes of a number that goes on
 _LONG: Final = bytes(0x80) + _UNFINISHED[:1] * 0x80
 _BATCH_FRAMES: Final = 1000  # summed up at once: more would not be faster, and takes memory
@@ -109,11 +100,7 @@ class FrameDecoder:
         if is_plain:
             return len(inflated) == count * self._row_bytes
         numbers = len(inflated.translate(None, _UNFINISHED))
-        return (
-            numbers == count * len(self._columns)
-            and inflated[-1] < 0x80
-            and _TOO_LONG not in inflated.translate(_LONG)
-        )
+        return numbers == count * len(self._columns) and inflated[-1] < 0x80 and _TOO_LONG not in inflated.translate(_LONG)
 
     def _decoded(self, frames: Sequence[tuple[int, bytes]]) -> bytes:
         """Packed rows of frames of one run of differences."""

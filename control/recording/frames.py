@@ -90,9 +90,7 @@ class StoredColumn:
         return self.code in FLOATS and self.per_unit > 0 and self.order == 1
 
 
-def stored_columns(
-    names: Sequence[str], codes: str, rad_per_count: Sequence[float] = ()
-) -> tuple[StoredColumn, ...]:
+def stored_columns(names: Sequence[str], codes: str, rad_per_count: Sequence[float] = ()) -> tuple[StoredColumn, ...]:
     """How columns of these names and `struct` codes are stored; `rad_per_count` of each joint's encoder, if known."""
     return tuple(_stored(names, codes, name, rad_per_count) for name in names)
 
@@ -115,9 +113,7 @@ def _stored(names: Sequence[str], codes: str, name: str, rad_per_count: Sequence
 
 def content_of(columns: Sequence[StoredColumn]) -> dict[str, Any]:
     """As the header of a recording holds it."""
-    return {
-        key: [getattr(column, key) for column in columns] for key in ("per_unit", "order", "beside", "factor")
-    }
+    return {key: [getattr(column, key) for column in columns] for key in ("per_unit", "order", "beside", "factor")}
 
 
 def columns_of(content: Mapping[str, Any], codes: str) -> tuple[StoredColumn, ...]:
@@ -248,9 +244,7 @@ def _integers(column: StoredColumn, values: Sequence[float], beside: Sequence[in
     """The values as integers; where one is NaN, the remainder is that of the row before."""
     if not column.per_unit:
         count = len(values)
-        return list(
-            struct.unpack(f"<{count}{_BITS[column.code]}", struct.pack(f"<{count}{column.code}", *values))
-        )
+        return list(struct.unpack(f"<{count}{_BITS[column.code]}", struct.pack(f"<{count}{column.code}", *values)))
     per_unit = column.per_unit
     if column.has_holes and any(value != value for value in values):
         whole = []

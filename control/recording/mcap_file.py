@@ -36,11 +36,7 @@ PATH_POINTS_MOST: Final = 4000  # points per run, so that a long path can still 
 
 
 def to_mcap(
-    recording: Recording,
-    path: Path,
-    every: int = 1,
-    arm: Arm | None = None,
-    report: Callable[[int], None] = lambda row: None,
+    recording: Recording, path: Path, every: int = 1, arm: Arm | None = None, report: Callable[[int], None] = lambda row: None
 ) -> int:
     """Write every k-th cycle; return the count. Without `arm` there is no 3-D scene. `report` is called every thousand rows."""
     with path.open("wb") as file:
@@ -51,11 +47,7 @@ def to_mcap(
 
 
 def cell_to_mcap(
-    recordings: Sequence[Recording],
-    path: Path,
-    cell: Cell,
-    every: int = 1,
-    report: Callable[[int], None] = lambda row: None,
+    recordings: Sequence[Recording], path: Path, cell: Cell, every: int = 1, report: Callable[[int], None] = lambda row: None
 ) -> int:
     """Write every k-th cycle of all arms of a cell; return the count of the first.
 
@@ -63,10 +55,7 @@ def cell_to_mcap(
     """
     with path.open("wb") as file:
         writer = _opened(file)
-        exports = [
-            _Export(one, writer, placed.arm, placed)
-            for one, placed in zip(recordings, cell.arms, strict=True)
-        ]
+        exports = [_Export(one, writer, placed.arm, placed) for one, placed in zip(recordings, cell.arms, strict=True)]
         written = _filled(exports, every, report)[0]
         writer.finish()
     return written
@@ -108,8 +97,7 @@ class _Columns:
 
     def __post_init__(self) -> None:
         self.own = {
-            topic: tuple((n, self.place[n]) for n in columns_of(topic, self.joint_count) if n in self.place)
-            for topic in TOPICS
+            topic: tuple((n, self.place[n]) for n in columns_of(topic, self.joint_count) if n in self.place) for topic in TOPICS
         }
 
     def joints(self, form: str, encoders: str) -> tuple[int, ...]:
@@ -123,9 +111,7 @@ class _Columns:
 class _Export:
     """Writes rows into an open MCAP file."""
 
-    def __init__(
-        self, recording: Recording, writer: Any, arm: Arm | None, placed: Placed | None = None
-    ) -> None:
+    def __init__(self, recording: Recording, writer: Any, arm: Arm | None, placed: Placed | None = None) -> None:
         """`placed`: of an arm among others, whose name its topics and frames then have."""
         self._recording, self._writer, self._arm, self._placed = recording, writer, arm, placed
         layout = recording.layout
@@ -137,9 +123,7 @@ class _Export:
         self._faults = self._columns.group("drive_faults{}")
         self._start_ns = int(float(recording.header.get("started_unix_s", 0.0)) * scene.NS_PER_S)
         self._first_s = math.nan
-        self.origin: tuple[int, float] | None = (
-            None  # time of the day [ns] and of the loop of the first row of all arms
-        )
+        self.origin: tuple[int, float] | None = None  # time of the day [ns] and of the loop of the first row of all arms
         self._next_scene_s = -math.inf
         self._events = CycleChanges(recording.modes)
         self._channels = self._registered(layout.joint_count)
@@ -149,9 +133,7 @@ class _Export:
     def _registered(self, joint_count: int) -> dict[str, int]:
         schemas = schemas_of(joint_count)
         ids = {
-            schema["title"]: self._writer.register_schema(
-                schema["title"], "jsonschema", json.dumps(schema).encode()
-            )
+            schema["title"]: self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
             for schema in schemas.values()
         }
         return {
@@ -190,9 +172,7 @@ class _Export:
     def _write(self, topic: str, message: dict[str, Any], time_ns: int) -> None:
         if self._placed is not None:
             message = scene.of_arm(message, self._placed.name)
-        self._writer.add_message(
-            self._channels[topic], log_time=time_ns, publish_time=time_ns, data=msgspec.json.encode(message)
-        )
+        self._writer.add_message(self._channels[topic], log_time=time_ns, publish_time=time_ns, data=msgspec.json.encode(message))
 
     def _own(self, row: Row, time_ns: int) -> None:
         """The recording's columns; missing values are omitted, because JSON has no NaN."""
@@ -218,9 +198,7 @@ class _Export:
         at = self._columns.place
         run = int(row[at["run"]])
         faults = tuple(row[k] for k in self._faults)
-        for level, text in self._events.look(
-            row[at["t_s"]], int(row[at["mode"]]), run, int(row[at["missed"]]), faults
-        ):
+        for level, text in self._events.look(row[at["t_s"]], int(row[at["mode"]]), run, int(row[at["missed"]]), faults):
             self._write("/log", scene.log_entry(level, text, time_ns), time_ns)
         if points := self._paths.pop(run, None):
             self._write("/scene", scene.path(points, time_ns), time_ns)
@@ -264,9 +242,7 @@ class _Export:
         self._writer.add_metadata(f"{before}armwright", {key: str(value) for key, value in about.items()})
 
 
-def _commanded_paths(
-    recording: Recording, columns: _Columns, kinematics: ForwardKinematics
-) -> dict[int, Sequence[Point]]:
+def _commanded_paths(recording: Recording, columns: _Columns, kinematics: ForwardKinematics) -> dict[int, Sequence[Point]]:
     """Commanded tip path of every run [m], thinned to what a line needs."""
     at, group = columns.place, columns.joints("joint{}_set_rad", "q{}_set_rad")
     sets: dict[int, array[float]] = {}
@@ -328,9 +304,7 @@ class CycleChanges:
         self._faults: tuple[float, ...] = ()
         self._missed_at_s = -math.inf
 
-    def look(
-        self, t_s: float, mode: int, run: int, missed: int, faults: tuple[float, ...]
-    ) -> Iterator[tuple[int, str]]:
+    def look(self, t_s: float, mode: int, run: int, missed: int, faults: tuple[float, ...]) -> Iterator[tuple[int, str]]:
         """Level and text of every new event in this cycle."""
         if mode != self._mode:
             name = mode_name(self._modes, mode)

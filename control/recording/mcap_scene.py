@@ -57,9 +57,12 @@ def transforms(arm: Arm, which: str, q_rad: Sequence[float], time_ns: int) -> li
 
 def _transform(at: Message, parent: str, child: str, position_m: Point, turn: Turn) -> Message:
     return {
-        "timestamp": at, "parent_frame_id": parent, "child_frame_id": child,
-        "translation": xyz(position_m), "rotation": _xyzw(turn),
-    }  # fmt: skip
+        "timestamp": at,
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": xyz(position_m),
+        "rotation": _xyzw(turn),
+    }
 
 
 def xyz(point: Point) -> Message:
@@ -82,11 +85,7 @@ def pose_in_base(position_m: Point, time_ns: int) -> Message:
 
 
 def posed(
-    arm: Arm,
-    kinematics: ForwardKinematics,
-    joint_rad: Sequence[float],
-    joint_set_rad: Sequence[float],
-    time_ns: int,
+    arm: Arm, kinematics: ForwardKinematics, joint_rad: Sequence[float], joint_set_rad: Sequence[float], time_ns: int
 ) -> Iterator[tuple[str, Message]]:
     """Topic and message of the frames and tips of both arms, as far as their angles are known."""
     frames = []
@@ -150,9 +149,12 @@ def _link_entity(name: str, frame: str, end_m: Point, colour: Turn, time_ns: int
     radius_m = min(THICKEST_m, THICKNESS * length_m)
     middle = (0.5 * end_m[0], 0.5 * end_m[1], 0.5 * end_m[2])
     cylinder = {
-        "pose": pose(middle, _turn_of_z(end_m, length_m)), "size": xyz((2 * radius_m, 2 * radius_m, length_m)),
-        "bottom_scale": 1.0, "top_scale": 1.0, "color": _rgba(colour),
-    }  # fmt: skip
+        "pose": pose(middle, _turn_of_z(end_m, length_m)),
+        "size": xyz((2 * radius_m, 2 * radius_m, length_m)),
+        "bottom_scale": 1.0,
+        "top_scale": 1.0,
+        "color": _rgba(colour),
+    }
     balls = [_sphere(end_m, radius_m, colour), _sphere((0.0, 0.0, 0.0), radius_m, colour)]
     return _entity(name, frame, time_ns, cylinders=[cylinder], spheres=balls)
 
@@ -179,14 +181,9 @@ def _rgba(colour: Turn) -> Message:
 
 def _entity(name: str, frame: str, time_ns: int, **primitives: list[Message]) -> Message:
     none: dict[str, list[Message]] = {
-        kind: []
-        for kind in (
-            "metadata", "arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models",
-        )
-    }  # fmt: skip
-    head = {
-        "timestamp": stamp(time_ns), "frame_id": frame, "id": name, "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": True,
-    }  # fmt: skip
+        kind: [] for kind in ("metadata", "arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+    }
+    head = {"timestamp": stamp(time_ns), "frame_id": frame, "id": name, "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": True}
     return {**head, **none, **primitives}
 
 
@@ -206,16 +203,19 @@ def of_arm(message: Any, name: str) -> Any:
         return [of_arm(part, name) for part in message]
     if not isinstance(message, dict):
         return message
-    return {
-        key: f"{name}/{part}" if key in NAMED and part != CELL else of_arm(part, name)
-        for key, part in message.items()
-    }
+    return {key: f"{name}/{part}" if key in NAMED and part != CELL else of_arm(part, name) for key, part in message.items()}
 
 
 def path(points_m: Sequence[Point], time_ns: int) -> Message:
     """SceneUpdate with the commanded tip path of a run as a line in the base frame."""
     line = {
-        "type": 0, "pose": pose((0.0, 0.0, 0.0)), "thickness": PATH_PIXELS, "scale_invariant": True,
-        "points": [xyz(point) for point in points_m], "color": _rgba((*COLOURS[SET_POINT][:3], 1.0)), "colors": [], "indices": [],
-    }  # fmt: skip
+        "type": 0,
+        "pose": pose((0.0, 0.0, 0.0)),
+        "thickness": PATH_PIXELS,
+        "scale_invariant": True,
+        "points": [xyz(point) for point in points_m],
+        "color": _rgba((*COLOURS[SET_POINT][:3], 1.0)),
+        "colors": [],
+        "indices": [],
+    }
     return {"deletions": [], "entities": [_entity("commanded path", BASE, time_ns, lines=[line])]}

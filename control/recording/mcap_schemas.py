@@ -12,8 +12,14 @@ from typing import Any, Final
 
 Schema = dict[str, Any]
 JOINTS, SET_POINT, ERROR, DRIVES, CAMERA, LOOP, END = (
-    "/joints", "/joints/set_point", "/joints/following_error", "/drives", "/camera", "/loop", "/end_effector",
-)  # fmt: skip
+    "/joints",
+    "/joints/set_point",
+    "/joints/following_error",
+    "/drives",
+    "/camera",
+    "/loop",
+    "/end_effector",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +75,7 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("gripper_state", "1", "number of the gripper's state, by control.end_effector.gripper.State"),
         Field("digital", "1", "levels of the named pins as bits, in the order of the arm.toml"),
     ),
-}  # fmt: skip
+}
 MODE_NAME: Final = Field("mode_name", "1", "mode of the arm: OFF, BRAKED, HOLDING, MOVING, ...")
 FOLLOWING_ERROR: Final = Field("following_error{}_rad", "rad", "set-point minus angle")
 
@@ -126,18 +132,12 @@ def _text(meaning: str) -> Schema:
 
 
 _TIME: Final = _message("time", "time since 1970, UTC", sec={"type": "integer"}, nsec={"type": "integer"})
-_DURATION: Final = _message(
-    "duration", "0: until it is replaced", sec={"type": "integer"}, nsec={"type": "integer"}
-)
+_DURATION: Final = _message("duration", "0: until it is replaced", sec={"type": "integer"}, nsec={"type": "integer"})
 _VECTOR: Final = _message("foxglove.Vector3", "[m]", **{axis: _number(f"{axis} [m]") for axis in "xyz"})
 _POINT: Final = _message("foxglove.Point3", "[m]", **{axis: _number(f"{axis} [m]") for axis in "xyz"})
-_QUATERNION: Final = _message(
-    "foxglove.Quaternion", "orientation [1]", **{part: _number(f"{part} [1]") for part in "xyzw"}
-)
+_QUATERNION: Final = _message("foxglove.Quaternion", "orientation [1]", **{part: _number(f"{part} [1]") for part in "xyzw"})
 _POSE: Final = _message("foxglove.Pose", "a pose", position=_VECTOR, orientation=_QUATERNION)
-_COLOUR: Final = _message(
-    "foxglove.Color", "[1], 0 to 1", **{part: _number(f"{part} [1]") for part in "rgba"}
-)
+_COLOUR: Final = _message("foxglove.Color", "[1], 0 to 1", **{part: _number(f"{part} [1]") for part in "rgba"})
 _TRANSFORM: Final = _message(
     "foxglove.FrameTransform",
     "pose of a frame in its parent",
@@ -156,9 +156,7 @@ _CYLINDER: Final = _message(
     top_scale=_number("[1]"),
     color=_COLOUR,
 )
-_SPHERE: Final = _message(
-    "foxglove.SpherePrimitive", "a joint or a tip", pose=_POSE, size=_VECTOR, color=_COLOUR
-)
+_SPHERE: Final = _message("foxglove.SpherePrimitive", "a joint or a tip", pose=_POSE, size=_VECTOR, color=_COLOUR)
 _LINE: Final = _message(
     "foxglove.LinePrimitive",
     "a path",
@@ -190,11 +188,7 @@ _ENTITY: Final = _message(
     models=_many({"type": "object"}),
 )
 _DELETION: Final = _message(
-    "foxglove.SceneEntityDeletion",
-    "entities to remove",
-    timestamp=_TIME,
-    type={"type": "integer"},
-    id=_text("name"),
+    "foxglove.SceneEntityDeletion", "entities to remove", timestamp=_TIME, type={"type": "integer"}, id=_text("name")
 )
 _JOINT: Final = _message(
     "foxglove.JointState",
@@ -211,12 +205,17 @@ FOXGLOVE: Final[dict[str, Schema]] = {
         _message("foxglove.PoseInFrame", "a pose in a frame", timestamp=_TIME, frame_id=_text("frame"), pose=_POSE),
         _message("foxglove.JointStates", "the joints", timestamp=_TIME, joints=_many(_JOINT)),
         _message(
-            "foxglove.Log", "what happened", timestamp=_TIME,
+            "foxglove.Log",
+            "what happened",
+            timestamp=_TIME,
             level={"type": "integer", "description": "2 information, 3 warning, 4 error"},
-            message=_text("in words"), name=_text("program"), file=_text("none"), line={"type": "integer"},
+            message=_text("in words"),
+            name=_text("program"),
+            file=_text("none"),
+            line={"type": "integer"},
         ),
     )
-}  # fmt: skip
+}
 WELL_KNOWN: Final = {
     "/tf": "foxglove.FrameTransforms",
     "/scene": "foxglove.SceneUpdate",

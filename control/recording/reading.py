@@ -15,13 +15,7 @@ from control.files import open_file, parsed_json
 from control.model.arm import Arm
 from control.model.description import load_arm, parse_arm
 from control.recording.frames import HEAD, ROWS, ROWS_MOST, CONTENT_MOST_bytes, StoredColumn, columns_of
-from control.recording.record import (
-    LATER_FIELDS,
-    MAGIC,
-    MAGIC_OF_FRAMES,
-    MODES_BEFORE_THEY_WERE_RECORDED,
-    Layout,
-)
+from control.recording.record import LATER_FIELDS, MAGIC, MAGIC_OF_FRAMES, MODES_BEFORE_THEY_WERE_RECORDED, Layout
 
 HEADER_MOST_bytes, ROW_MOST_bytes = 1 << 24, 1 << 14  # the text of an arm.toml; 100 joints
 PORTION_bytes = 1 << 20  # read at once; some 40,000 rows in frames
@@ -70,9 +64,7 @@ class Recording:
                 )
             (length,) = struct.unpack("<I", start[len(MAGIC) :])
             if length > min(HEADER_MOST_bytes, os.fstat(file.fileno()).st_size - len(start)):
-                raise RecordError(
-                    f"{path}: the header of this recording is damaged: its length is {length} bytes"
-                )
+                raise RecordError(f"{path}: the header of this recording is damaged: its length is {length} bytes")
             text = file.read(length)
         try:
             header = parsed_json(text)
@@ -83,9 +75,7 @@ class Recording:
             packing.pack(*(0 for _ in layout.names))  # as many values as names
             _require_columns(layout)
             _require_numbers(header)
-            columns = (
-                columns_of(header["frames"], layout.codes) if start.startswith(MAGIC_OF_FRAMES) else None
-            )
+            columns = columns_of(header["frames"], layout.codes) if start.startswith(MAGIC_OF_FRAMES) else None
         except (ValueError, KeyError, TypeError, OverflowError, struct.error) as error:
             raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
         return cls(path, header, layout, len(MAGIC) + 4 + length, columns)

@@ -30,26 +30,42 @@ from control.safety.table import Mode
 MAGIC, MAGIC_OF_FRAMES = b"ARMLOG1\n", b"ARMLOG2\n"
 ROWS_A_REPORT = 256  # reports are read once in this many rows
 REPORT_bytes = 1 << 14
-MODES_BEFORE_THEY_WERE_RECORDED = (
-    "OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT",
-)  # fmt: skip
+MODES_BEFORE_THEY_WERE_RECORDED = ("OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT")
 SCALAR_FIELDS = (
-    ("t_s", "d"), ("cycle", "I"), ("run", "I"), ("mode", "B"), ("missed", "I"), ("late_s", "f"), ("busy_s", "f"),
-    ("page_faults", "H"), ("switches", "H"), ("age_s", "f"),
-    ("payload_kg", "f"), ("x_m", "d"), ("y_m", "d"), ("z_m", "d"),
-)  # fmt: skip
+    ("t_s", "d"),
+    ("cycle", "I"),
+    ("run", "I"),
+    ("mode", "B"),
+    ("missed", "I"),
+    ("late_s", "f"),
+    ("busy_s", "f"),
+    ("page_faults", "H"),
+    ("switches", "H"),
+    ("age_s", "f"),
+    ("payload_kg", "f"),
+    ("x_m", "d"),
+    ("y_m", "d"),
+    ("z_m", "d"),
+)
 JOINT_FIELDS = (
-    ("q{}_rad", "d"), ("q{}_set_rad", "d"), ("speed{}_rad_s", "f"), ("speed{}_set_rad_s", "f"), ("count{}", "i"),
-    ("u{}_V", "f"), ("i{}_A", "f"), ("supply{}_V", "f"), ("temperature{}_C", "f"),
-    ("statusword{}", "B"), ("drive_faults{}", "B"), ("flags{}", "B"), ("counted{}_s", "d"),
-)  # fmt: skip
+    ("q{}_rad", "d"),
+    ("q{}_set_rad", "d"),
+    ("speed{}_rad_s", "f"),
+    ("speed{}_set_rad_s", "f"),
+    ("count{}", "i"),
+    ("u{}_V", "f"),
+    ("i{}_A", "f"),
+    ("supply{}_V", "f"),
+    ("temperature{}_C", "f"),
+    ("statusword{}", "B"),
+    ("drive_faults{}", "B"),
+    ("flags{}", "B"),
+    ("counted{}_s", "d"),
+)
 
 LATER_FIELDS = ("page_faults", "switches", "age_s")  # not in recordings of earlier versions, as counted{}_s
 COUNT_MOST = 0xFFFF  # of page faults and switches in a cycle
-JOINT_SIDE_FIELDS = (
-    ("joint{}_rad", "d"),
-    ("joint{}_set_rad", "d"),
-)  # where they are not the encoders' angles
+JOINT_SIDE_FIELDS = (("joint{}_rad", "d"), ("joint{}_set_rad", "d"))  # where they are not the encoders' angles
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,23 +77,16 @@ class Layout:
     packing: struct.Struct
 
     @classmethod
-    def of(
-        cls, joint_count: int, has_joint_side: bool = False, more: Sequence[tuple[str, str]] = ()
-    ) -> "Layout":
+    def of(cls, joint_count: int, has_joint_side: bool = False, more: Sequence[tuple[str, str]] = ()) -> "Layout":
         """The layout that this version writes; with joint angles beside encoder angles if the arm distinguishes them.
 
         `more`: name and code of columns at the end of each row (control.recording.record).
         """
-        fields, of_joint = (
-            list(SCALAR_FIELDS),
-            (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())),
-        )
+        fields, of_joint = (list(SCALAR_FIELDS), (*JOINT_FIELDS, *(JOINT_SIDE_FIELDS if has_joint_side else ())))
         for joint in range(1, joint_count + 1):
             fields += [(name.format(joint), code) for name, code in of_joint]
         fields += more
-        return cls(
-            joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields))
-        )
+        return cls(joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields)))
 
     def fitting(self, values: Sequence[float]) -> list[float]:
         """The values as a row can hold them: what fits no column becomes NaN, or 0 where the column is of whole numbers."""
@@ -251,9 +260,7 @@ class Recorder:
     def problem(self) -> str:
         """Why rows are not recorded now, as text; empty while they are. For rows that were lost: since the last call."""
         refused, self._refused_before = self._refused - self._refused_before, self._refused
-        return self._sink.state().reason or (
-            f"{refused} cycles were lost: the disk is too slow" if refused else ""
-        )
+        return self._sink.state().reason or (f"{refused} cycles were lost: the disk is too slow" if refused else "")
 
     @property
     def lost_rows(self) -> int:
@@ -302,7 +309,5 @@ def about_cell(cell: Cell, arm: str) -> dict[str, Any]:
     """What the header of an arm's recording says of the cell that it is in: all bases; nothing of an arm alone."""
     if len(cell.arms) == 1:
         return {}
-    bases = {
-        placed.name: {"origin_m": placed.origin_m, "orientation": placed.orientation} for placed in cell.arms
-    }
+    bases = {placed.name: {"origin_m": placed.origin_m, "orientation": placed.orientation} for placed in cell.arms}
     return {"cell": {"name": cell.name, "arm": arm, "bases": bases}}

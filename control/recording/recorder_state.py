@@ -86,9 +86,7 @@ def parts_from(path: Path) -> list[Path]:
 def last_part(path: Path) -> Path:
     """The latest file of a recording, of which earlier ones may have been removed."""
     part = re.compile(re.escape(path.name.removesuffix(SUFFIX)) + r"\.part(\d+)" + re.escape(SUFFIX))
-    found = [
-        (int(named[1]), other) for other in path.parent.iterdir() if (named := part.fullmatch(other.name))
-    ]
+    found = [(int(named[1]), other) for other in path.parent.iterdir() if (named := part.fullmatch(other.name))]
     return max(found, default=(1, path))[1]
 
 

@@ -137,12 +137,7 @@ class RecordingParts:
     """
 
     def __init__(
-        self,
-        first: Path,
-        policy: Policy,
-        say: Say,
-        pwrite: PWrite = os.pwrite,
-        now_s: Callable[[], float] = time.monotonic,
+        self, first: Path, policy: Policy, say: Say, pwrite: PWrite = os.pwrite, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._policy, self._say, self._pwrite, self._now_s = policy, say, pwrite, now_s
         part = PartFile(first, pwrite)
@@ -182,9 +177,7 @@ class RecordingParts:
             self._state = replace(self._state, bytes_per_h=rate)
         size = part.size if part is not None else 0
         left = hours_left(self._path.parent, self._state.bytes_per_h)
-        return replace(
-            self._state, file=str(self._path), written_bytes=self._finished_bytes + size, hours_left=left
-        )
+        return replace(self._state, file=str(self._path), written_bytes=self._finished_bytes + size, hours_left=left)
 
     def close(self) -> None:
         """Sync everything and close."""
@@ -205,9 +198,7 @@ class RecordingParts:
             if harm:
                 self._lose(gone)
                 lost = f", and {gone} cycles with it" if gone else ""
-                self._say(
-                    f"{part.path}: {harm} by another program{lost}; recording continues in another file"
-                )
+                self._say(f"{part.path}: {harm} by another program{lost}; recording continues in another file")
             if harm or (part.has_rows and part.size + more_bytes > self._policy.rotate_bytes):
                 self._finish_part()
         if self._part is None:
@@ -241,9 +232,7 @@ class RecordingParts:
         reason = error.strerror or str(error)
         self._lost_before = self._state.lost_rows
         self._state = replace(self._state, is_on=False, reason=reason, since_unix_s=time.time())
-        self._say(
-            f"{self._path}: recording stopped: {reason}. The arm keeps running; recording resumes when there is room"
-        )
+        self._say(f"{self._path}: recording stopped: {reason}. The arm keeps running; recording resumes when there is room")
 
     def _go_on(self) -> None:
         if self._state.is_on:
@@ -289,10 +278,7 @@ def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
         return
     with contextlib.suppress(OSError):
         others = [
-            path
-            for folder in _folders(current)
-            for path in folder.iterdir()
-            if path != current and _arm_of(path) == named["arm"]
+            path for folder in _folders(current) for path in folder.iterdir() if path != current and _arm_of(path) == named["arm"]
         ]
         by_age = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in others)
         total = policy.rotate_bytes + sum(size for _, size, _ in by_age)
@@ -303,9 +289,7 @@ def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
                 if path.parent != current.parent:
                     with contextlib.suppress(OSError):  # other arms' files are in it
                         path.parent.rmdir()
-                say(
-                    f"{path}: removed as the oldest recording; [recording] keeps {1e-6 * policy.keep_bytes:g} MB"
-                )
+                say(f"{path}: removed as the oldest recording; [recording] keeps {1e-6 * policy.keep_bytes:g} MB")
 
 
 def _folders(current: Path) -> list[Path]:
@@ -314,9 +298,7 @@ def _folders(current: Path) -> list[Path]:
     if (named := RUN_OF_CELL.fullmatch(here.name)) is None:
         return [here]
     same = (folder for folder in here.parent.iterdir() if folder.is_dir())
-    return [
-        one for one in same if (other := RUN_OF_CELL.fullmatch(one.name)) and other["cell"] == named["cell"]
-    ]
+    return [one for one in same if (other := RUN_OF_CELL.fullmatch(one.name)) and other["cell"] == named["cell"]]
 
 
 def _arm_of(path: Path) -> str | None:

@@ -52,9 +52,7 @@ def capsule(start_m: Point, end_m: Point, radius_m: float) -> Capsule:
     return Capsule(x, y, z, dx, dy, dz, dd, radius_m, x + 0.5 * dx, y + 0.5 * dy, z + 0.5 * dz, around_m)
 
 
-def least_gap(
-    one: Sequence[Capsule], other: Sequence[Capsule], pairs: Sequence[tuple[int, int]], within_m: float
-) -> Nearest:
+def least_gap(one: Sequence[Capsule], other: Sequence[Capsule], pairs: Sequence[tuple[int, int]], within_m: float) -> Nearest:
     """The least gap among `pairs` of capsules, if it is less than `within_m`; else FAR, without looking closely."""
     least, at = within_m, (-1, -1)
     for pair in pairs:
@@ -97,11 +95,7 @@ def middle(one: Capsule, other: Capsule) -> tuple[float, float, float]:
     s = min(max((b * f - c * e) / d, 0.0), 1.0) if d > PARALLEL * a * e else 0.0
     t = min(max((b * s + f) / e, 0.0), 1.0)
     s = min(max((b * t - c) / a, 0.0), 1.0)
-    return (
-        0.5 * (px + s * ux + qx + t * vx),
-        0.5 * (py + s * uy + qy + t * vy),
-        0.5 * (pz + s * uz + qz + t * vz),
-    )
+    return (0.5 * (px + s * ux + qx + t * vx), 0.5 * (py + s * uy + qy + t * vy), 0.5 * (pz + s * uz + qz + t * vz))
 
 
 Capsules = tuple[Capsule, ...]
@@ -155,12 +149,7 @@ class ArmBody:
 
         The base is left to control.safety.workspace, which knows its axis. Neighbours in the chain always touch.
         """
-        pairs = [
-            (i, j)
-            for i in range(1, len(rest))
-            for j in range(i + 2, len(rest))
-            if self.joints[j] - self.joints[i] >= 2
-        ]
+        pairs = [(i, j) for i in range(1, len(rest)) for j in range(i + 2, len(rest)) if self.joints[j] - self.joints[i] >= 2]
         return tuple(pair for pair in pairs if not least_gap(rest, rest, (pair,), 0.0).gap_m < 0.0)
 
 
@@ -175,6 +164,4 @@ def pairs_between(one: ArmBody, other: ArmBody) -> tuple[tuple[int, int], ...]:
 
 
 def _middles(limits_rad: Sequence[tuple[float, float]]) -> tuple[float, ...]:
-    return tuple(
-        0.5 * (lower + upper) if math.isfinite(lower + upper) else 0.0 for lower, upper in limits_rad
-    )
+    return tuple(0.5 * (lower + upper) if math.isfinite(lower + upper) else 0.0 for lower, upper in limits_rad)

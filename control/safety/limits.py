@@ -81,9 +81,7 @@ class SetPointLimits:
     def __post_init__(self) -> None:
         """Refuse invalid limits: a limit of NaN would allow everything."""
         if not -math.inf < self.lower_rad < self.upper_rad < math.inf:
-            raise ArmError(
-                f"joint range: expected lower < upper, got {self.lower_rad} to {self.upper_rad} rad"
-            )
+            raise ArmError(f"joint range: expected lower < upper, got {self.lower_rad} to {self.upper_rad} rad")
         for name in ("speed_rad_s", "acceleration_rad_s2"):
             value = getattr(self, name)
             if not 0.0 < value < math.inf:
@@ -105,9 +103,7 @@ def clamp(wanted: float, lower: float, upper: float, limit: str, joint: int = 0)
         NotFinite: `wanted` is NaN or infinite, or the bounds are crossed or NaN.
     """
     if not (lower <= upper and wanted - wanted == 0.0):
-        raise NotFinite(
-            f"{limit}: expected a finite value and bounds in order, got {wanted} in {lower} .. {upper}"
-        )
+        raise NotFinite(f"{limit}: expected a finite value and bounds in order, got {wanted} in {lower} .. {upper}")
     if wanted > upper:
         return Allowed(upper, (Clip(limit, joint, wanted, upper),))
     if wanted < lower:
@@ -165,8 +161,7 @@ def limit_set_point(
     for joint, (wanted, last, last_speed, limit) in enumerate(joints, 1):
         if wanted - wanted != 0.0 or last - last != 0.0 or last_speed - last_speed != 0.0:
             raise NotFinite(
-                f"joint {joint} set-point: expected finite numbers, got {wanted} rad after {last} rad"
-                f" at {last_speed} rad/s"
+                f"joint {joint} set-point: expected finite numbers, got {wanted} rad after {last} rad at {last_speed} rad/s"
             )
         speed = (wanted - last) / period_s
         acceleration = limit.acceleration_rad_s2
@@ -188,13 +183,7 @@ def limit_set_point(
 
 
 def _limited_speed(
-    speed: float,
-    last: float,
-    last_speed: float,
-    limit: SetPointLimits,
-    period_s: float,
-    joint: int,
-    reasons: list[Clip],
+    speed: float, last: float, last_speed: float, limit: SetPointLimits, period_s: float, joint: int, reasons: list[Clip]
 ) -> float:
     """Speed of this step after the limits of acceleration, speed and range, in this order."""
     change = limit.acceleration_rad_s2 * period_s

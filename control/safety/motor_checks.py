@@ -24,18 +24,7 @@ class SpeedCheck:
     which measures when it is asked, or by itself, to the last one; the check keeps them.
     """
 
-    __slots__ = (
-        "_K",
-        "_R",
-        "_allowed_V",
-        "_base_V",
-        "_before_V",
-        "_is_newest",
-        "_last_V",
-        "_lead_rad",
-        "_left_V",
-        "_slack_rad",
-    )
+    __slots__ = ("_K", "_R", "_allowed_V", "_base_V", "_before_V", "_is_newest", "_last_V", "_lead_rad", "_left_V", "_slack_rad")
 
     def __init__(
         self,
@@ -62,9 +51,7 @@ class SpeedCheck:
         self._before_V = self._last_V = math.nan
         self._left_V = self._allowed_V = self._lead_rad = 0.0
 
-    def update(
-        self, elapsed_s: float, sent_V: float, current_A: float, speed_rad_s: float, supply_off: float
-    ) -> bool:
+    def update(self, elapsed_s: float, sent_V: float, current_A: float, speed_rad_s: float, supply_off: float) -> bool:
         """Take a cycle; whether voltage and current agree with the encoder's speed.
 
         `sent_V`: of the last command, NaN if the board controls it. `supply_off`: share by which the supply differs from the

@@ -14,9 +14,7 @@ class Mode(Enum):
     HOMING = "position control; searches switches and index pulses"
     GUIDING = "a hand moves the arm: drives open circuit, or gravity compensation only"
     STOPPING = "position control along a jerk-limited stop"
-    FAULT = (
-        "stop and hold, hold by the boards alone, or 0 V, depending on the fault; waits for acknowledgement"
-    )
+    FAULT = "stop and hold, hold by the boards alone, or 0 V, depending on the fault; waits for acknowledgement"
     JOGGING = "position control along a jog that a client keeps renewing"
     PAUSED = "position control: slowing to rest along the motion, then holding there"
     HELD = "held by its boards: they had torque when the runtime connected; nothing is commanded, and no limit is watched"
@@ -179,8 +177,7 @@ def _transitions_in_words(event: Event) -> str:
         if following := TRANSITIONS.get((mode, event)):
             origins.setdefault(following, []).append(mode.name)
     return "; ".join(
-        f"{'all' if len(names) == len(Mode) else ', '.join(names)} → {following.name}"
-        for following, names in origins.items()
+        f"{'all' if len(names) == len(Mode) else ', '.join(names)} → {following.name}" for following, names in origins.items()
     )
 
 

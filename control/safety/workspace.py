@@ -132,31 +132,20 @@ class Workspace:
             or _is_beside_axis(corners[body.first_free :], reach_m + around_m)
         )
 
-    def clearances(
-        self, corners: Sequence[Any], body: LinkThickness | None = None
-    ) -> Iterator[tuple[Any, str]]:
+    def clearances(self, corners: Sequence[Any], body: LinkThickness | None = None) -> Iterator[tuple[Any, str]]:
         """For arrays: the clearances [m] of what may be near at all, and what each is about."""
         return self._clearances(corners, body or _lines(len(corners)), _ARRAYS)
 
-    def _clearances(
-        self, corners: Sequence[Point], body: LinkThickness, of: _Library
-    ) -> Iterator[tuple[Any, str]]:
+    def _clearances(self, corners: Sequence[Point], body: LinkThickness, of: _Library) -> Iterator[tuple[Any, str]]:
         lowest_m = of.lowest([corner[2] for corner in corners]) - body.thickest_m
         if not lowest_m >= self.floor_z_m - self.tolerance_m:
             yield from self._above_ground(corners, body, of)
         if self.base_radius_m > 0.0 and not lowest_m > self.base_top_m + self.base_radius_m:
             free = body.first_free
-            for (start, end), radius_m in zip(
-                pairwise(corners[free:]), body.radii_m[free + 1 :], strict=True
-            ):
-                yield (
-                    _distance_to_axis(self.base_top_m, start, end, of) - self.base_radius_m - radius_m,
-                    _BASE,
-                )
+            for (start, end), radius_m in zip(pairwise(corners[free:]), body.radii_m[free + 1 :], strict=True):
+                yield (_distance_to_axis(self.base_top_m, start, end, of) - self.base_radius_m - radius_m, _BASE)
 
-    def _above_ground(
-        self, corners: Sequence[Point], body: LinkThickness, of: _Library
-    ) -> Iterator[tuple[Any, str]]:
+    def _above_ground(self, corners: Sequence[Point], body: LinkThickness, of: _Library) -> Iterator[tuple[Any, str]]:
         last = len(corners) - 1
         for number, ((x, y, z), radius_m) in enumerate(zip(corners, body.at_corners_m, strict=True)):
             yield z - radius_m - self._ground(x, y, of), _TIP if number == last else _BODY
@@ -188,12 +177,7 @@ def _board_of(arm: Arm) -> TiltedBoard | None:
     if table is None or not table.known_pose or table.origin_m is None:
         return None
     reach_m = max((math.hypot(x, y) for x, y, _ in board_cavities(table).values()), default=0.0)
-    return TiltedBoard(
-        table.origin_m,
-        reach_m + BOARD_MARGIN_m,
-        math.tan(table.roll_tilt_rad),
-        math.tan(table.pitch_tilt_rad),
-    )
+    return TiltedBoard(table.origin_m, reach_m + BOARD_MARGIN_m, math.tan(table.roll_tilt_rad), math.tan(table.pitch_tilt_rad))
 
 
 def _is_beside_axis(corners: Sequence[Point], distance_m: float) -> bool:

@@ -132,9 +132,7 @@ def assemble(
     return Assembly(runtime, requests)
 
 
-def _gravity_compensation(
-    arm: Arm, servo: Servo, names: Sequence[str], limits: JointLimits
-) -> GravityCompensation:
+def _gravity_compensation(arm: Arm, servo: Servo, names: Sequence[str], limits: JointLimits) -> GravityCompensation:
     fastest_rad_s = [OVERSPEED * limit for limit in limits.speed_rad_s]
     return GravityCompensation(_motors(arm), servo.torque_model, names, fastest_rad_s)
 
@@ -188,9 +186,7 @@ def _motor_counts(arm: Arm, names: Sequence[str]) -> cross_checks.MotorCountWatc
     """The comparison of both boards' counts."""
     per_radian = [JointMap(drive).counts_per_radian for drive in arm.drives]
     has_two = [drive.motor_counts_per_rev is not None for drive in arm.drives]
-    return cross_checks.MotorCountWatch(
-        per_radian, [drive.encoder_bits for drive in arm.drives], names, has_two
-    )
+    return cross_checks.MotorCountWatch(per_radian, [drive.encoder_bits for drive in arm.drives], names, has_two)
 
 
 def _motor_leads(arm: Arm) -> MotorLeads:
@@ -210,8 +206,7 @@ def _does_counter_span(drive: Drive) -> bool:
 
 def _measurement(arm: Arm) -> Measurement:
     fastest_rad_s = [
-        IMPOSSIBLE * drive.supply_V / constant
-        for drive, constant in zip(arm.drives, torque_constants_Nm_A(arm), strict=True)
+        IMPOSSIBLE * drive.supply_V / constant for drive, constant in zip(arm.drives, torque_constants_Nm_A(arm), strict=True)
     ]
     maps = [JointMap(drive) for drive in arm.drives]
     bits = [drive.encoder_bits for drive in arm.drives]
@@ -249,18 +244,13 @@ def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[cross_checks.Lim
     for joint, drive in enumerate(arm.drives):
         if (switches := drive.limit_switches) is None:
             continue
-        for end, pin, side, own in (
-            ("lower", switches.lower, -1.0, LOWER_LIMIT),
-            ("upper", switches.upper, 1.0, UPPER_LIMIT),
-        ):
+        for end, pin, side, own in (("lower", switches.lower, -1.0, LOWER_LIMIT), ("upper", switches.upper, 1.0, UPPER_LIMIT)):
             is_home = drive.home is not None and drive.home.switch == end
             if pin:
                 is_high, edge_rad = switches.active == "high", _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
                 flag = own if pin == OWN_INPUT else 0
                 says = "its drive's own input" if flag else pin
-                yield cross_checks.LimitSwitch(
-                    joint, names[joint], says, side, is_high, is_home, edge_rad, flag
-                )
+                yield cross_checks.LimitSwitch(joint, names[joint], says, side, is_high, is_home, edge_rad, flag)
 
 
 def _edge_tolerance_rad(drive: Drive) -> float:

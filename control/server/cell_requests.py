@@ -23,10 +23,7 @@ from control.server.requests import Message, Requests, refused
 WAITING = frozenset(("enable", "home", "acknowledge"))
 PACING = frozenset(("pause", "resume", "override"))
 BEGINNING = frozenset(("home", "move_joints", "run_path", "run_joints", "move_together", "jog", "guide"))
-PLANNED = BEGINNING - {
-    "jog",
-    "guide",
-}  # by jog and by hand, an arm can be brought away from one that is in FAULT
+PLANNED = BEGINNING - {"jog", "guide"}  # by jog and by hand, an arm can be brought away from one that is in FAULT
 
 
 class CellRequests:
@@ -68,9 +65,7 @@ class CellRequests:
         """ArmError lists the arms."""
         if name not in self._requests:
             got = repr(name[:SHOWN]) if name else "none"
-            raise ArmError(
-                f"arm: expected one of {', '.join(self._requests)} of cell {self._name!r}, got {got}"
-            )
+            raise ArmError(f"arm: expected one of {', '.join(self._requests)} of cell {self._name!r}, got {got}")
         return name
 
     def _modes(self) -> dict[str, str]:
@@ -103,16 +98,12 @@ class CellRequests:
             raise ArmError("move_together: expected the same override for all arms: set one for each")
         motions = {name: self._prepared(name, one, client) for name, one in planned.items()}
         duration_s = max(motion.duration_s for motion in motions.values())
-        together: dict[str, Motion] = {
-            name: Stretched(motion, duration_s) for name, motion in motions.items()
-        }
+        together: dict[str, Motion] = {name: Stretched(motion, duration_s) for name, motion in motions.items()}
         for name, motion in together.items():
             self._runtime.collisions.of_arms[name].require_clear(motion, together)
         for name, motion in together.items():
             others = [
-                (copy.copy(one), limits_of(self._runtime.runtimes[other]))
-                for other, one in together.items()
-                if other != name
+                (copy.copy(one), limits_of(self._runtime.runtimes[other])) for other, one in together.items() if other != name
             ]
             self._requests[name].begin(motion, planned[name], client, others)
         runs = {name: self._runtime.runtimes[name].run_number for name in together}
@@ -159,9 +150,7 @@ class CellRequests:
         if do in BEGINNING:
             for other, runtime in runtimes.items():
                 if other != arm and runtime.monitor.mode is Mode.HOMING:
-                    raise ArmError(
-                        f"arm {other!r} is HOMING, so arm {arm!r} cannot {what}: wait until it is homed"
-                    )
+                    raise ArmError(f"arm {other!r} is HOMING, so arm {arm!r} cannot {what}: wait until it is homed")
         if do in PLANNED and (other := self._runtime.in_fault_beside(arm)):
             raise ArmError(
                 f"arm {other!r} is in FAULT, so arm {arm!r} cannot {what}: `armwright acknowledge --arm {other}` when it is"

@@ -87,9 +87,7 @@ class ArmClient:
                 raise ArmFaulted(fault_text(self.status()))
             if waited_s > timeout_s:
                 step = f" ({answer['step']})" if answer["step"] else ""
-                raise ArmLate(
-                    f"the arm is still {mode} after {waited_s:.1f} s{step}; expected {' or '.join(modes) or 'its end'}"
-                )
+                raise ArmLate(f"the arm is still {mode} after {waited_s:.1f} s{step}; expected {' or '.join(modes) or 'its end'}")
             if self.on_wait is not None:
                 self.on_wait(answer)
             self._channel.wait(POLL_S)
@@ -110,9 +108,7 @@ class ArmClient:
         self.arrive(timeout_s)
         return True
 
-    def move_joints(
-        self, q_rad: Sequence[float], speed: float = 1.0, waits: bool = True, as_encoders: bool = False
-    ) -> None:
+    def move_joints(self, q_rad: Sequence[float], speed: float = 1.0, waits: bool = True, as_encoders: bool = False) -> None:
         """Move the joints to `q_rad` at a fraction of their limits; returns at rest, or at once without waiting.
 
         `as_encoders`: `q_rad` are encoder angles, without the modelled effects behind the encoders.
@@ -121,9 +117,7 @@ class ArmClient:
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 
-    def run_path(
-        self, path: Message, waits: bool = True, as_encoders: bool = False, tool: str | None = None
-    ) -> None:
+    def run_path(self, path: Message, waits: bool = True, as_encoders: bool = False, tool: str | None = None) -> None:
         """Run a planned path (PlannedPath.to_message(), JointPath.to_message()); the arm must stand at its first point.
 
         `as_encoders`: as move_joints. `tool`: the one whose tip it was planned for, if that is to be checked.
@@ -168,13 +162,10 @@ class ArmClient:
             raise ArmError(f"follow: arm {status['arm']!r} is not homed: home it first")
         if status["was_stopped"] and status["run"] == self._followed_run:
             self._followed_run = None
-            raise MotionStopped(
-                f"following has ended: arm {status['arm']!r} was stopped and is {status['mode']}"
-            )
+            raise MotionStopped(f"following has ended: arm {status['arm']!r} was stopped and is {status['mode']}")
         speeds = [0.0] * len(q_rad) if speed_rad_s is None else speed_rad_s
         wanted = [
-            speed + FOLLOW_GAIN_per_s * (goal - q)
-            for speed, goal, q in zip(speeds, q_rad, status["joint_set_rad"], strict=True)
+            speed + FOLLOW_GAIN_per_s * (goal - q) for speed, goal, q in zip(speeds, q_rad, status["joint_set_rad"], strict=True)
         ]
         answer = self.ask("jog", joint_speed_rad_s=wanted)
         self._followed_run = answer["run"]
@@ -201,9 +192,7 @@ class ArmClient:
         """Another of the arm's tools is on. RequestRefused unless the arm is at rest."""
         self.ask("tool", name=name)
 
-    def grip(
-        self, action: str, opening_m: float | None = None, force_N: float | None = None, waits: bool = True
-    ) -> Message:
+    def grip(self, action: str, opening_m: float | None = None, force_N: float | None = None, waits: bool = True) -> Message:
         """Open, close or move (to `opening_m`) the gripper; returns its state (docs/socket.md) at the end of its motion.
 
         RequestRefused says why it does not move. ArmFaulted if the arm goes to FAULT meanwhile.
@@ -228,9 +217,7 @@ class ArmClient:
         while True:
             pins = self.status()["digital"]
             if name not in pins:
-                known = (
-                    f"expected one of {', '.join(pins)}" if pins else "arm.toml names none with [[digital]]"
-                )
+                known = f"expected one of {', '.join(pins)}" if pins else "arm.toml names none with [[digital]]"
                 raise ArmError(f"digital: no pin {name!r}: {known}")
             if pins[name]["level"] is level or waited_s >= timeout_s:
                 return bool(pins[name]["level"] is level)
@@ -266,9 +253,7 @@ class ArmClient:
         status = self.status()
         if status["mode"] == "FAULT":
             raise ArmFaulted(fault_text(status))
-        raise ArmLate(
-            f"no average after {waited_s:.1f} s: {answer.get('error', 'the boards sent no values meanwhile')}"
-        )
+        raise ArmLate(f"no average after {waited_s:.1f} s: {answer.get('error', 'the boards sent no values meanwhile')}")
 
     def acknowledge(self) -> None:
         """Acknowledge the fault on a person's request. ArmFaulted if its cause persists."""
@@ -296,9 +281,7 @@ class ArmClient:
         if not quit_runtime:
             self.until(["OFF"], timeout_s, is_fault_known=True)
             return
-        with contextlib.suppress(
-            RuntimeGone
-        ):  # later than OFF: when every drive, of every arm, has confirmed it
+        with contextlib.suppress(RuntimeGone):  # later than OFF: when every drive, of every arm, has confirmed it
             self.until((), timeout_s, is_fault_known=True)
 
     def wait(self, duration_s: float) -> None:

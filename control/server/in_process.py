@@ -73,9 +73,7 @@ class InProcessChannel:
     runtime, with its number and arm.
     """
 
-    def __init__(
-        self, served: Served, clock: Clock, loop: SteppedLoop | None = None, number: int = 0, arm: str = ""
-    ) -> None:
+    def __init__(self, served: Served, clock: Clock, loop: SteppedLoop | None = None, number: int = 0, arm: str = "") -> None:
         self.loop = loop or SteppedLoop(served, clock)
         self._number, self._arm = number, arm
 

@@ -116,9 +116,7 @@ class StartJog(_Message, tag="jog", kw_only=True):
     tip_turn_rad_s: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET
     frame: Literal["base", "tip"] = "base"
     joint: int | msgspec.UnsetType = msgspec.UNSET
-    by_rad: Annotated[float, Meta(ge=-LARGEST_STEP_rad, le=LARGEST_STEP_rad)] | msgspec.UnsetType = (
-        msgspec.UNSET
-    )
+    by_rad: Annotated[float, Meta(ge=-LARGEST_STEP_rad, le=LARGEST_STEP_rad)] | msgspec.UnsetType = msgspec.UNSET
     speed_rad_s: Annotated[float, Meta(ge=1e-3, le=100.0)] = 100.0
     axis: str | msgspec.UnsetType = msgspec.UNSET
     by_m: Annotated[float, Meta(ge=-LARGEST_STEP_m, le=LARGEST_STEP_m)] | msgspec.UnsetType = msgspec.UNSET
@@ -244,8 +242,7 @@ class _OutlinedJoints(RunJoints, tag="run_joints", kw_only=True):
 
 
 _OUTLINES: Mapping[str, "msgspec.json.Decoder[Any]"] = {
-    str(kind.__struct_config__.tag): msgspec.json.Decoder(kind)
-    for kind in (_OutlinedTogether, _OutlinedPath, _OutlinedJoints)
+    str(kind.__struct_config__.tag): msgspec.json.Decoder(kind) for kind in (_OutlinedTogether, _OutlinedPath, _OutlinedJoints)
 }
 
 
@@ -276,9 +273,7 @@ def decoded(request: Asked) -> Any:
     if request.read is not None:
         return request.read
     if len(request.line) > LONGEST_PLAIN_bytes and request.do not in LONG:
-        raise ArmError(
-            f"request {request.do!r}: expected at most {LONGEST_PLAIN_bytes} bytes, got {len(request.line)}"
-        )
+        raise ArmError(f"request {request.do!r}: expected at most {LONGEST_PLAIN_bytes} bytes, got {len(request.line)}")
     return _decoded_by(_DECODERS.get(request.do, _PLAIN), request)
 
 

@@ -52,9 +52,7 @@ class PlannedMotions:
         """Check that a path is for the tip of the tool that is on, if it says for which."""
         on = self._runtime.parts.tool.tool.name
         if planned is not None and planned != on:
-            raise ArmError(
-                f"the path is for the tip of tool {planned!r}, but {on!r} is mounted: plan it again"
-            )
+            raise ArmError(f"the path is for the tip of tool {planned!r}, but {on!r} is mounted: plan it again")
 
     def _require_at(self, first_rad: Sequence[float], as_encoders: bool) -> None:
         """Check that the arm holds at a path's first point."""

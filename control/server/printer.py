@@ -25,9 +25,7 @@ class Printer:
     def __init__(self) -> None:
         read_fd, self._fd = os.pipe()
         with held():
-            self._process = subprocess.Popen(
-                command("control.server.printer"), stdin=read_fd, start_new_session=True
-            )
+            self._process = subprocess.Popen(command("control.server.printer"), stdin=read_fd, start_new_session=True)
         os.close(read_fd)
         os.set_blocking(self._fd, False)
 

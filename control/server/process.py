@@ -167,8 +167,7 @@ def serve(cell: Cell, options: ServeOptions) -> None:
     connection = connect_cell(cell, clock, options.period_s, options.camera_ports)
     folder = _folder(cell, options.log_folder)
     arms = {
-        placed.name: _begun(cell, placed.arm, connection.of_arms[placed.name], folder, options.period_s)
-        for placed in cell.arms
+        placed.name: _begun(cell, placed.arm, connection.of_arms[placed.name], folder, options.period_s) for placed in cell.arms
     }
     printer = Printer()
     remedy = request_punctuality()
@@ -218,16 +217,12 @@ def _begun(cell: Cell, arm: Arm, connection: Connection, folder: Path, period_s:
     return _Begun(arm, connection, recording, *_start_writer(arm, recording))
 
 
-def _served(
-    cell: Cell, arms: Mapping[str, _Begun], period_s: float, about: Mapping[str, object], printer: Printer
-) -> Served:
+def _served(cell: Cell, arms: Mapping[str, _Begun], period_s: float, about: Mapping[str, object], printer: Printer) -> Served:
     """The runtime: of the only arm, or of all arms of a cell."""
     assemblies = {}
     for name, begun in arms.items():
         opened = begun.connection
-        one = assemble(
-            begun.arm, opened.hardware, period_s, opened.camera, begun.sink, about=about, strain=strain
-        )
+        one = assemble(begun.arm, opened.hardware, period_s, opened.camera, begun.sink, about=about, strain=strain)
         prefix = f"{name}: " if len(arms) > 1 else ""
         begun.events = one.requests.events = Events(one.runtime, partial(_say, printer, prefix))
         assemblies[name] = one
@@ -238,14 +233,10 @@ def _say(printer: Printer, prefix: str, text: str) -> None:
     printer.say(with_time(f"{prefix}{text}"))
 
 
-def run(
-    served: Served, server: Server, clock: Clock, period_s: float, events: Sequence[Events | None]
-) -> None:
+def run(served: Served, server: Server, clock: Clock, period_s: float, events: Sequence[Events | None]) -> None:
     """Cycle after cycle, requests in between, until the runtime ends."""
     runtime = served.runtime
-    asked_to_end: list[
-        int
-    ] = []  # signals come in the middle of anything, of a request that waits for boards, too
+    asked_to_end: list[int] = []  # signals come in the middle of anything, of a request that waits for boards, too
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: asked_to_end.append(number))
     beat = PeriodicTimer(AttendedClock(clock, runtime), period_s)
@@ -316,9 +307,7 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
     policy = arm.recording
     with held():
         writer = subprocess.Popen(
-            command(
-                "control.recording.writer", str(recording), str(policy.rotate_bytes), str(policy.keep_bytes)
-            ),
+            command("control.recording.writer", str(recording), str(policy.rotate_bytes), str(policy.keep_bytes)),
             stdin=read_fd,
             stdout=of_writer.fileno(),
             start_new_session=True,

@@ -28,11 +28,7 @@ from control.server.status import gripper_status, status_of, step_of
 from firmware_iface.errors import LinkError
 
 Message = dict[str, Any]
-BEGINS = {
-    "move_joints": Event.MOVE,
-    "run_path": Event.MOVE,
-    "run_joints": Event.MOVE,
-}  # refused by mode unread
+BEGINS = {"move_joints": Event.MOVE, "run_path": Event.MOVE, "run_joints": Event.MOVE}  # refused by mode unread
 # Served while the arm goes on or off by itself; whatever else is asked then is refused, so that no answer is overtaken.
 WHILE_ON_ITS_WAY = messages.WATCHING | messages.STOPPING | {"enable", "hold", "digital", "gripper"}
 ADVICE = {
@@ -143,9 +139,7 @@ class Requests:
     def _require_this_arm(self, name: str) -> None:
         """ArmError if a request names another arm than the one that is served."""
         if name not in ("", self._about["arm"]):
-            raise ArmError(
-                f"arm: expected {self._about['arm']!r}, which is served here, got {name[: messages.SHOWN]!r}"
-            )
+            raise ArmError(f"arm: expected {self._about['arm']!r}, which is served here, got {name[: messages.SHOWN]!r}")
 
     def on_gone(self, client: int) -> None:
         """A client disconnected: what it began and what still goes on is stopped, a gripper on its way, too."""
@@ -357,9 +351,7 @@ def jog_request(request: StartJog, joint_count: int) -> JogRequest:
 
 def _joint_step(request: StartJog, joint_count: int) -> JointStep:
     if request.joint is UNSET or not 1 <= request.joint <= joint_count:
-        raise ArmError(
-            f"request 'jog': expected joint to be a whole number from 1 to {joint_count}, got {request.joint}"
-        )
+        raise ArmError(f"request 'jog': expected joint to be a whole number from 1 to {joint_count}, got {request.joint}")
     if request.by_rad is UNSET:
         raise ArmError("request 'jog': expected by_rad with joint, the angle of the step")
     return JointStep(request.joint - 1, request.by_rad, request.speed_rad_s)

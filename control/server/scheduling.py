@@ -94,11 +94,7 @@ def _lock_memory() -> bool:
     is_unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     if is_unlimited and libc.mlockall(MCL_FUTURE) != 0:
         return False
-    needed = [
-        (start, end - start)
-        for start, end, name in mapped(MAPS.read_text())
-        if not _is_algebra(end - start, name)
-    ]
+    needed = [(start, end - start) for start, end, name in mapped(MAPS.read_text()) if not _is_algebra(end - start, name)]
     return all(libc.mlock(ctypes.c_void_p(at), ctypes.c_size_t(size)) == 0 for at, size in needed)
 
 
@@ -141,11 +137,7 @@ def punctuality_remedy() -> str:
 def _remedy(is_fifo: bool, is_locked: bool) -> str:
     rights = {"rtprio (SCHED_FIFO)": is_fifo, "memlock (locked pages)": is_locked}
     missing = [name for name, is_granted in rights.items() if not is_granted]
-    return (
-        f"no permission for {' and '.join(missing)}: cycles will be late under load; {LIMITS}"
-        if missing
-        else ""
-    )
+    return f"no permission for {' and '.join(missing)}: cycles will be late under load; {LIMITS}" if missing else ""
 
 
 def _ask_fifo() -> bool:
@@ -184,9 +176,7 @@ class PeriodicTimer:
         self._clock.wait_until_s(self._deadline_s)
         late_s = self._clock.now_s() - self._deadline_s
         periods = late_s / self.period_s
-        self.skipped = int(
-            periods + (0.499 if periods >= 1.0 else 0.0)
-        )  # 0.499: rounding errors skip nothing
+        self.skipped = int(periods + (0.499 if periods >= 1.0 else 0.0))  # 0.499: rounding errors skip nothing
         self.missed += self.skipped
         self.missed_in_row = self.missed_in_row + self.skipped if self.skipped else 0
         self._deadline_s += (self.skipped + 1) * self.period_s + self.trim_s

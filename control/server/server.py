@@ -31,9 +31,7 @@ from control.server.messages import LONG, STOPPING, WATCHING, Asked, asked, is_a
 Message = dict[str, Any]
 Handle = Callable[[Asked, int], Message]
 LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits
-QUEUE_LIMIT = (
-    64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
-)
+QUEUE_LIMIT = 64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
 CHUNK_bytes = 1 << 13  # taken from all clients a cycle: even newlines alone are split well within a cycle
 LEAST_bytes = 1 << 8  # of one of them: a stop fits, so it is heard in the cycle in which it comes
 CLIENT_LIMIT = 32  # connections at a time; more would use up the loop's file descriptors
@@ -120,9 +118,7 @@ class Server:
     `path`: of the socket; or one for each arm of a cell, by its name, which requests are about unless they say otherwise.
     """
 
-    def __init__(
-        self, path: Path | Mapping[str, Path], handle: Handle, on_gone: Callable[[int], None]
-    ) -> None:
+    def __init__(self, path: Path | Mapping[str, Path], handle: Handle, on_gone: Callable[[int], None]) -> None:
         paths = {"": path} if isinstance(path, Path) else dict(path)
         self.path = next(iter(paths.values()))
         self._handle = handle
@@ -240,9 +236,7 @@ class Server:
                 request = request._replace(read=(yield from steps(request)))
             except ArmError as error:
                 error_of_path = str(error)
-        answer = (
-            {"ok": False, "error": error_of_path} if error_of_path else self._answer(request, line, client)
-        )
+        answer = {"ok": False, "error": error_of_path} if error_of_path else self._answer(request, line, client)
         if request.id is not None:
             answer["id"] = request.id
         return answer
@@ -252,10 +246,7 @@ class Server:
             request = request._replace(arm=client.arm)
         is_command = request.do not in STOPPING | WATCHING
         if is_command and line.stops != self._stops:
-            answer: Message = {
-                "ok": False,
-                "error": f"request {request.do!r}: a stop came before it was served",
-            }
+            answer: Message = {"ok": False, "error": f"request {request.do!r}: a stop came before it was served"}
         elif is_command and not client.may_command:
             crowd = f"{CLIENT_LIMIT} clients are connected: close some of them (this connection may watch and stop)"
             answer = {"ok": False, "error": f"request {request.do!r}: {crowd}"}

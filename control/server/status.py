@@ -28,9 +28,7 @@ SHUTDOWN_STEPS = {
 }
 NEAR = 0.9  # of a limit: warn below
 _ADVICE = "`armwright acknowledge` when it is safe"
-_HELD_ADVICE = (
-    f"a reset would let the arm go; {TAKES_OVER} where it only timed out, `armwright off` lets it go"
-)
+_HELD_ADVICE = f"a reset would let the arm go; {TAKES_OVER} where it only timed out, `armwright off` lets it go"
 
 
 def status_of(runtime: Runtime) -> dict[str, Any]:
@@ -58,10 +56,7 @@ def status_of(runtime: Runtime) -> dict[str, Any]:
         "payload_kg": runtime.stated_payload_kg,
         "gripper": gripper_status(runtime),
         "digital": _digital(runtime),
-        "faults": [
-            {"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy}
-            for f in monitor.faults
-        ],
+        "faults": [{"code": f.code, "where": f.where, "message": f.message, "remedy": f.remedy} for f in monitor.faults],
         "warnings": [*_warnings(runtime), *_recorder_warnings(recorder)],
         **_cycles(runtime),
         "lost_rows": recorder.lost_rows,
@@ -93,9 +88,7 @@ def _digital(runtime: Runtime) -> dict[str, Any]:
     outputs = runtime.parts.outputs
     if outputs is None:
         return {}
-    return {
-        pin.name: {"direction": pin.direction, "level": outputs.levels[pin.name]} for pin in outputs.described
-    }
+    return {pin.name: {"direction": pin.direction, "level": outputs.levels[pin.name]} for pin in outputs.described}
 
 
 def step_of(runtime: Runtime) -> str:
@@ -183,13 +176,9 @@ def _warnings(runtime: Runtime) -> list[str]:
     for name, bits in zip(parts.joint_names, parts.hardware.feedback.drive_faults, strict=True):
         if bits and not monitor.faults:
             is_held = monitor.mode is Mode.HELD
-            warnings.append(
-                f"the drive of {name} is in FAULT (bits 0x{bits:02x}): {_HELD_ADVICE if is_held else _ADVICE}"
-            )
+            warnings.append(f"the drive of {name} is in FAULT (bits 0x{bits:02x}): {_HELD_ADVICE if is_held else _ADVICE}")
     if out := runtime.drives.out_of_operation(parts.hardware.feedback):
-        warnings.append(
-            f"the drive of {', '.join(out)} is out of operation: `armwright enable` takes it back"
-        )
+        warnings.append(f"the drive of {', '.join(out)} is out of operation: `armwright enable` takes it back")
     if runtime.jogging is not None and runtime.jogging.limited:
         warnings.append(runtime.jogging.limited)
     if monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not monitor.is_homed:
@@ -222,10 +211,7 @@ def _recorder_warnings(recorder: RecorderState) -> list[str]:
 def _near_range(runtime: Runtime) -> list[str]:
     warnings = []
     for name, limit, q in zip(
-        runtime.parts.joint_names,
-        runtime.parts.set_point_limits,
-        runtime.parts.measurement.q_rad,
-        strict=True,
+        runtime.parts.joint_names, runtime.parts.set_point_limits, runtime.parts.measurement.q_rad, strict=True
     ):
         room = min(q - limit.lower_rad, limit.upper_rad - q)
         if room < 0.0:

@@ -24,29 +24,9 @@ class Pid:
         ArmError: a gain or limit is negative or not finite, or the period is not positive.
     """
 
-    __slots__ = (
-        "_blend",
-        "_error",
-        "_period_s",
-        "_rate",
-        "_step",
-        "integral",
-        "is_saturated",
-        "kd",
-        "ki",
-        "kp",
-        "output_limit",
-    )
+    __slots__ = ("_blend", "_error", "_period_s", "_rate", "_step", "integral", "is_saturated", "kd", "ki", "kp", "output_limit")
 
-    def __init__(
-        self,
-        kp: float,
-        ki: float,
-        kd: float,
-        derivative_filter_s: float,
-        output_limit: float,
-        period_s: float,
-    ) -> None:
+    def __init__(self, kp: float, ki: float, kd: float, derivative_filter_s: float, output_limit: float, period_s: float) -> None:
         _require_sane(kp, ki, kd, derivative_filter_s, output_limit, period_s)
         self.kp, self.ki, self.kd, self.output_limit = kp, ki, kd, output_limit
         self.integral = 0.0  # in units of the output: changing ki later causes no bump
@@ -84,9 +64,7 @@ class Pid:
         step = self._step * error
         rest = feedforward + self.kp * error + self.kd * rate
         wanted = rest + self.integral + step
-        if not (
-            -_LARGEST < wanted < _LARGEST and -_LARGEST < lower <= upper < _LARGEST and rate - rate == 0.0
-        ):
+        if not (-_LARGEST < wanted < _LARGEST and -_LARGEST < lower <= upper < _LARGEST and rate - rate == 0.0):
             raise NonFiniteInput(_describe(error, error_rate, feedforward, lower, upper))
         self._rate = rate
         self._error = error
@@ -106,9 +84,7 @@ class Pid:
         """
         self.integral = min(max(self.integral + step, min(lower, 0.0)), max(upper, 0.0))
 
-    def reset(
-        self, output: float = 0.0, error: float = 0.0, feedforward: float = 0.0, error_rate: float = 0.0
-    ) -> None:
+    def reset(self, output: float = 0.0, error: float = 0.0, feedforward: float = 0.0, error_rate: float = 0.0) -> None:
         """Start bump-less: the next update with these same inputs returns `output` (plus one step of ki).
 
         Without integral action (ki = 0) nothing could hold a bias, and the integral becomes zero.
@@ -123,17 +99,9 @@ class Pid:
         self.integral = bias if self.ki > 0.0 else 0.0
 
 
-def _require_sane(
-    kp: float, ki: float, kd: float, derivative_filter_s: float, output_limit: float, period_s: float
-) -> None:
+def _require_sane(kp: float, ki: float, kd: float, derivative_filter_s: float, output_limit: float, period_s: float) -> None:
     """Raise ArmError for the first invalid parameter."""
-    named = {
-        "kp": kp,
-        "ki": ki,
-        "kd": kd,
-        "derivative_filter_s": derivative_filter_s,
-        "output_limit": output_limit,
-    }
+    named = {"kp": kp, "ki": ki, "kd": kd, "derivative_filter_s": derivative_filter_s, "output_limit": output_limit}
     for name, value in named.items():
         if not 0.0 <= value < _LARGEST:
             raise ArmError(f"PID: {name} must be finite and not negative, got {value}")

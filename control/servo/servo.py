@@ -27,12 +27,7 @@ class JointPid(Protocol):
     """The controller of one joint (control.servo.pid)."""
 
     def update(
-        self,
-        error: float,
-        error_rate: float | None,
-        feedforward: float,
-        lower: float | None,
-        upper: float | None,
+        self, error: float, error_rate: float | None, feedforward: float, lower: float | None, upper: float | None
     ) -> float: ...
 
     def reset(self) -> None: ...
@@ -155,9 +150,7 @@ class Servo:
             volts = amperes * resistance_ohm + volts_per_rad_s * goal_rad_s
             if mode is _POSITION:
                 output[joint] = goal_rad
-                self.feedforward_V[joint] = commanded_V[joint] = min(
-                    max(volts, -motor.supply_V), motor.supply_V
-                )
+                self.feedforward_V[joint] = commanded_V[joint] = min(max(volts, -motor.supply_V), motor.supply_V)
                 continue
             share, here_rad_s = shares[joint], speed_rad_s[joint]
             error, error_rate = share * (goal_rad - q_rad[joint]), share * (goal_rad_s - here_rad_s)
@@ -169,9 +162,7 @@ class Servo:
                 commanded_V[joint] = amperes * resistance_ohm + back_emf_V
                 continue
             lower, upper = voltage_range(motor.supply_V, limit_A, resistance_ohm, back_emf_V)
-            output[joint] = commanded_V[joint] = self._pids[joint].update(
-                error, error_rate, volts, lower, upper
-            )
+            output[joint] = commanded_V[joint] = self._pids[joint].update(error, error_rate, volts, lower, upper)
         self.model_A = model_A if knows_pose and self._share == 1.0 else None
 
     def _torque_Nm(self, set_point: SetPoint, joints: SetPoint | None) -> Sequence[float]:
@@ -213,13 +204,9 @@ class MotionTorque:
 
         `motors` is their own set-point if it differs from the joints': it determines rotor inertia and cogging.
         """
-        known: Sequence[float] = self._known(
-            q_rad, speed_rad_s, acceleration_rad_s2, None if motors is None else motors.q_rad
-        )
+        known: Sequence[float] = self._known(q_rad, speed_rad_s, acceleration_rad_s2, None if motors is None else motors.q_rad)
         if motors is not None:
-            parts = zip(
-                known, self._rotor_kg_m2, motors.acceleration_rad_s2, acceleration_rad_s2, strict=True
-            )
+            parts = zip(known, self._rotor_kg_m2, motors.acceleration_rad_s2, acceleration_rad_s2, strict=True)
             known = [torque + inertia * (motor - joint) for torque, inertia, motor, joint in parts]
         carried = self._loads.torques(q_rad, speed_rad_s, acceleration_rad_s2)
         return known if carried is None else [k + c for k, c in zip(known, carried, strict=True)]
@@ -244,11 +231,7 @@ class GravityCompensation:
     """Motor currents of all joints during hand guiding."""
 
     def __init__(
-        self,
-        motors: Sequence[Motor],
-        torque_model: TorqueModel,
-        joint_names: Sequence[str],
-        free_limits_rad_s: Sequence[float],
+        self, motors: Sequence[Motor], torque_model: TorqueModel, joint_names: Sequence[str], free_limits_rad_s: Sequence[float]
     ) -> None:
         """`free_limits_rad_s`: of joints with open circuits, which a hand moves faster."""
         self._limits = {True: [FASTEST_rad_s] * len(motors), False: list(free_limits_rad_s)}

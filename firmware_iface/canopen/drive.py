@@ -82,15 +82,9 @@ CYCLIC_TORQUE: Final = 10
 
 DEVICE_TYPE = DictionaryObject(0x1000, 0, "u32")
 VENDOR, PRODUCT, REVISION, SERIAL = (DictionaryObject(0x1018, sub, "u32") for sub in (1, 2, 3, 4))
-HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER = (
-    DictionaryObject(0x1016, 1, "u32"),
-    DictionaryObject(0x1017, 0, "u16"),
-)
+HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER = (DictionaryObject(0x1016, 1, "u32"), DictionaryObject(0x1017, 0, "u16"))
 ABORT_CONNECTION, QUICK_STOP_OPTION = DictionaryObject(0x6007, 0, "i16"), DictionaryObject(0x605A, 0, "i16")
-FAULT_REACTION, FOLLOWING_ERROR_WINDOW = (
-    DictionaryObject(0x605E, 0, "i16"),
-    DictionaryObject(0x6065, 0, "u32"),
-)
+FAULT_REACTION, FOLLOWING_ERROR_WINDOW = (DictionaryObject(0x605E, 0, "i16"), DictionaryObject(0x6065, 0, "u32"))
 NO_WINDOW = 0xFFFF_FFFF  # of 0x6065: the drive watches no following error
 CONTROLWORD, STATUSWORD = DictionaryObject(0x6040, 0, "u16"), DictionaryObject(0x6041, 0, "u16")
 MODE, MODE_NOW = DictionaryObject(0x6060, 0, "i8"), DictionaryObject(0x6061, 0, "i8")
@@ -131,11 +125,7 @@ class Maker:
 # By vendor id, 0x1018:01. maxon: EDS of the EPOS4, firmware 0x0170, which has neither 0x6072 nor 0x6075 nor 0x6079.
 MAKERS: Final = {
     0x0000_00FB: Maker(
-        1e-6,
-        DictionaryObject(0x3001, 1, "u32"),
-        DictionaryObject(0x2200, 1, "u16"),
-        100,
-        DictionaryObject(0x3001, 2, "u32"),
+        1e-6, DictionaryObject(0x3001, 1, "u32"), DictionaryObject(0x2200, 1, "u16"), 100, DictionaryObject(0x3001, 2, "u32")
     )
 }
 
@@ -231,11 +221,7 @@ class Cia402Drive:
     def step_towards(self, wanted: DriveState) -> None:
         """Take the next step to a state, without a motion: the set-point is where the motor is. FAULT is not left."""
         now = self.state
-        if now is None or now in (
-            DriveState.FAULT,
-            DriveState.FAULT_REACTION_ACTIVE,
-            DriveState.NOT_READY_TO_SWITCH_ON,
-        ):
+        if now is None or now in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY_TO_SWITCH_ON):
             self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         elif now is not wanted and (command := next_command(now, wanted)) is not None:
             self._controlword = int(command)
@@ -372,9 +358,7 @@ class Cia402Drive:
         if (entry := self._supply_by_sdo) is not None:
             self._take_supply(self.read(entry), self._bus.clock.now_s())
 
-    def _map(
-        self, communication: int, mapping: int, base: int, entries: tuple[DictionaryObject, ...]
-    ) -> None:
+    def _map(self, communication: int, mapping: int, base: int, entries: tuple[DictionaryObject, ...]) -> None:
         """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid. Its bit for remote requests stays as it is."""
         cob, count = DictionaryObject(communication, 1, "u32"), DictionaryObject(mapping, 0, "u8")
         cob_id = base + self.node | self.read(cob) & NO_REMOTE_REQUESTS
@@ -397,11 +381,7 @@ class Cia402Drive:
         if not self._is_in_fault():
             return
         while True:
-            for command in (
-                DriveCommand.DISABLE_VOLTAGE,
-                DriveCommand.FAULT_RESET,
-                DriveCommand.DISABLE_VOLTAGE,
-            ):
+            for command in (DriveCommand.DISABLE_VOLTAGE, DriveCommand.FAULT_RESET, DriveCommand.DISABLE_VOLTAGE):
                 self._controlword = int(command)
                 self._send(CYCLIC_POSITION, self.count, 0)
                 self._bus.heartbeat()
@@ -411,9 +391,7 @@ class Cia402Drive:
             if not self._is_in_fault():
                 return
             if clock.now_s() >= deadline_s:
-                raise BoardFaulted(
-                    f"{self.where}: its fault ({self.error_text()}) cannot be acknowledged: the cause persists"
-                )
+                raise BoardFaulted(f"{self.where}: its fault ({self.error_text()}) cannot be acknowledged: the cause persists")
 
     def _is_in_fault(self) -> bool:
         return self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)

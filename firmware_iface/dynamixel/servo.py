@@ -14,15 +14,7 @@ from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
 STORED_SPAN = (0, 69)  # address and length: model to status return level
-RETURN_DELAY, TORQUE_ENABLE, LED, GOAL_PWM, GOAL_POSITION, PROFILE, GOAL_CURRENT = (
-    9,
-    64,
-    65,
-    100,
-    116,
-    108,
-    102,
-)
+RETURN_DELAY, TORQUE_ENABLE, LED, GOAL_PWM, GOAL_POSITION, PROFILE, GOAL_CURRENT = (9, 64, 65, 100, 116, 108, 102)
 # Address and length: torque to bus watchdog; current to temperature.
 STATE_SPAN, VALUES_SPAN = (64, 35), (126, 21)
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
@@ -33,36 +25,44 @@ TORQUE_AT_POWER_UP: Final = 0x01  # bit of the startup configuration; in older f
 DELAY_STEP_s: Final = 2e-6
 ALL_ANSWERED: Final = 2  # status return level
 COUNTS_PER_TURN: Final = 4096
-WITHIN_LIMITS: Final = (
-    3  # the mode that keeps its position limits; its homing offset is at most a quarter of a turn
-)
+WITHIN_LIMITS: Final = 3  # the mode that keeps its position limits; its homing offset is at most a quarter of a turn
 REVERSED: Final = 0x01  # bit of the drive mode: its positions have the other sense
 EXTENDED, WITH_FORCE = 4, 5
-POSITION_MODES: Final = {
-    WITHIN_LIMITS: "position",
-    EXTENDED: "extended position",
-    WITH_FORCE: "current-based position",
-}
+POSITION_MODES: Final = {WITHIN_LIMITS: "position", EXTENDED: "extended position", WITH_FORCE: "current-based position"}
 # Models by number (e-Manual), and the unit of their present current (Dynamixel2Arduino of 2025, its table of each model).
 SMALL: Final = {
-    1190: "XL330-M077", 1200: "XL330-M288", 1210: "XC330-T181", 1220: "XC330-T288", 1230: "XC330-M181", 1240: "XC330-M288",
-}  # fmt: skip
+    1190: "XL330-M077",
+    1200: "XL330-M288",
+    1210: "XC330-T181",
+    1220: "XC330-T288",
+    1230: "XC330-M181",
+    1240: "XC330-M288",
+}
 _FINE: Final = {1040: "XH430-V350", 1050: "XH430-V210"}
 _COARSE: Final = {
-    1000: "XH430-W350", 1010: "XH430-W210", 1020: "XM430-W350", 1030: "XM430-W210", 1100: "XH540-W270", 1110: "XH540-W150",
-    1120: "XM540-W270", 1130: "XM540-W150", 1140: "XH540-V270", 1150: "XH540-V150", 1001: "XD430-T350", 1011: "XD430-T210",
-    1101: "XD540-T270", 1111: "XD540-T150", 1170: "XW540-T260", 1180: "XW540-T140", 1270: "XW430-T333", 1280: "XW430-T200",
+    1000: "XH430-W350",
+    1010: "XH430-W210",
+    1020: "XM430-W350",
+    1030: "XM430-W210",
+    1100: "XH540-W270",
+    1110: "XH540-W150",
+    1120: "XM540-W270",
+    1130: "XM540-W150",
+    1140: "XH540-V270",
+    1150: "XH540-V150",
+    1001: "XD430-T350",
+    1011: "XD430-T210",
+    1101: "XD540-T270",
+    1111: "XD540-T150",
+    1170: "XW540-T260",
+    1180: "XW540-T140",
+    1270: "XW430-T333",
+    1280: "XW430-T200",
     1310: "XW540-H260",  # its control table is that of the XW540-T260
-}  # fmt: skip
-# They measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
-WITH_LOAD: Final = {
-    1060: "XL430-W250", 1070: "XC430-W150", 1080: "XC430-W240", 1090: "2XL430-W250", 1160: "2XC430-W250",
-}  # fmt: skip
-CURRENT_UNIT_A: Final = {
-    **dict.fromkeys(SMALL, 0.001),
-    **dict.fromkeys(_FINE, 0.00134),
-    **dict.fromkeys(_COARSE, 0.00269),
 }
+# They measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
+WITH_LOAD: Final = {1060: "XL430-W250", 1070: "XC430-W150", 1080: "XC430-W240", 1090: "2XL430-W250", 1160: "2XC430-W250"}
+CURRENT_UNIT_A: Final = {**dict.fromkeys(SMALL, 0.001), **dict.fromkeys(_FINE, 0.00134), **dict.fromkeys(_COARSE, 0.00269)}
 MODELS: Final = {**SMALL, **_FINE, **_COARSE, **WITH_LOAD}
 LOAD_UNIT: Final = 0.001
 FULL_PWM: Final = 885
@@ -81,9 +81,7 @@ class DynamixelLine(ServoLine):
         super().__init__(link, clock, self.servos, self._goal_positions, self._all_values)
 
     def _goal_positions(self) -> bytes:
-        goals = {
-            servo.number: struct.pack("<i", servo.goal) for servo in self.servos if servo.goal is not None
-        }
+        goals = {servo.number: struct.pack("<i", servo.goal) for servo in self.servos if servo.goal is not None}
         return wire.sync_write(GOAL_POSITION, goals) if goals else b""
 
     def _all_values(self) -> bytes:
@@ -97,9 +95,7 @@ class DynamixelServo(SmartServo):
     WIRE: ClassVar[ServoWire] = wire
     TORQUE, DELAY, FORCE = TORQUE_ENABLE, RETURN_DELAY, GOAL_CURRENT
     REMEDY = ", protocol 2.0, status return level 2"
-    ERRORS: ClassVar[Mapping[int, str]] = {
-        0x01: "voltage", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"
-    }  # fmt: skip
+    ERRORS: ClassVar[Mapping[int, str]] = {0x01: "voltage", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"}
 
     def __init__(self, line: DynamixelLine, number: int, name: str) -> None:
         super().__init__(line, number, name)
@@ -142,22 +138,17 @@ class DynamixelServo(SmartServo):
         for is_right, expected, found, remedy in (
             (
                 firmware >= WATCHDOG_SINCE or self.model in SMALL or not firmware,
-                f"firmware {WATCHDOG_SINCE} or newer (bus watchdog)", firmware, "update it",
+                f"firmware {WATCHDOG_SINCE} or newer (bus watchdog)",
+                firmware,
+                "update it",
             ),
             (mode in POSITION_MODES, "operating mode 3, 4 or 5 (position)", mode, "set it"),
-            (
-                not startup & TORQUE_AT_POWER_UP,
-                "no torque at power-up (register 60, bit 0)", f"{startup} there", "set it to 0",
-            ),
-        ):  # fmt: skip
+            (not startup & TORQUE_AT_POWER_UP, "no torque at power-up (register 60, bit 0)", f"{startup} there", "set it to 0"),
+        ):
             if not is_right:
-                raise WrongIdentity(
-                    f"{self.where}: expected {expected}, it is {found}: {remedy} with Dynamixel Wizard"
-                )
+                raise WrongIdentity(f"{self.where}: expected {expected}, it is {found}: {remedy} with Dynamixel Wizard")
         if level != ALL_ANSWERED:
-            self._require_answers(
-                f"status return level {ALL_ANSWERED} (register 68)", level, LED, "Dynamixel Wizard"
-            )
+            self._require_answers(f"status return level {ALL_ANSWERED} (register 68)", level, LED, "Dynamixel Wizard")
         self.return_delay_s = delay * DELAY_STEP_s
         notes = [f"model {self.model_name}", f"firmware {firmware}", f"{POSITION_MODES[mode]} mode"]
         notes += ["current reckoned from its load"] if self.has_load else []

@@ -224,9 +224,7 @@ class EncoderBoard:
             age = f"for {now_s - self.latest_at_s:.3f} s" if self.latest else "yet"
             raise BoardSilent(f"{self.where}: no report {age} (limit {limit_s:.3f} s){self._noise()}")
 
-    def identify(
-        self, timeout_s: float = ANSWER_TIMEOUT_s, serial_number: int | None = None
-    ) -> wire.Identity:
+    def identify(self, timeout_s: float = ANSWER_TIMEOUT_s, serial_number: int | None = None) -> wire.Identity:
         """Request the identity; check the protocol version and, if given, the serial number. Raises WrongIdentity."""
         self.identity = None
         sequence = self._next_sequence()
@@ -344,8 +342,7 @@ class EncoderBoard:
                 if (answer := self._answer_to(frame.sequence)) is not None:
                     return answer
         raise BoardSilent(
-            f"{self.where}: no answer to {type(frame).__name__} within {timeout_s:.3f} s, "
-            f"asked {ATTEMPTS} times{self._noise()}"
+            f"{self.where}: no answer to {type(frame).__name__} within {timeout_s:.3f} s, asked {ATTEMPTS} times{self._noise()}"
         )
 
     def _answer_to(self, sequence: int) -> wire.Ack | wire.Identity | None:
@@ -427,8 +424,7 @@ class EncoderBoard:
         self._indices.clear()
         self._problems.append(
             BoardReset(
-                f"{self.where}: restarted by itself; its counts are no longer valid positions: "
-                "check its supply, then home again"
+                f"{self.where}: restarted by itself; its counts are no longer valid positions: check its supply, then home again"
             )
         )
 
@@ -446,9 +442,7 @@ def _has_lost_zero(before: wire.Report | None, now: wire.Report) -> bool:
     """Only a reset clears ZERO_SET."""
     if before is None or before.flags == now.flags:
         return False
-    return any(
-        was & ~is_now & ChannelFlag.ZERO_SET for was, is_now in zip(before.flags, now.flags, strict=True)
-    )
+    return any(was & ~is_now & ChannelFlag.ZERO_SET for was, is_now in zip(before.flags, now.flags, strict=True))
 
 
 # Unwraps the board's u32 microsecond counter, which wraps after 71.6 min, to continuous seconds, and tells late reports.

@@ -58,9 +58,7 @@ class FeetechServo(SmartServo):
     CALLED = "STS servo"
     WIRE: ClassVar[ServoWire] = wire
     TORQUE, DELAY, FORCE = TORQUE, RETURN_DELAY, TORQUE_LIMIT
-    ERRORS: ClassVar[Mapping[int, str]] = {
-        0x01: "voltage", 0x02: "sensor", 0x04: "heat", 0x08: "current", OVERLOAD: "overload"
-    }  # fmt: skip
+    ERRORS: ClassVar[Mapping[int, str]] = {0x01: "voltage", 0x02: "sensor", 0x04: "heat", 0x08: "current", OVERLOAD: "overload"}
 
     def __init__(self, line: FeetechLine, number: int, name: str) -> None:
         super().__init__(line, number, name)
@@ -85,9 +83,24 @@ class FeetechServo(SmartServo):
     def identify(self) -> str:
         """Ask model, mode, and what is stored of its position, its answers and its errors. Raises BoardSilent, WrongIdentity."""
         (
-            major, minor, model, delay, level, least, most, highest_100mV, lowest_100mV, phase, unloads_at,
-            resolution, correction, mode, kept_percent, protection_10ms, overload_percent,
-        ) = _STORED.unpack(self._read(*STORED_SPAN))  # fmt: skip
+            major,
+            minor,
+            model,
+            delay,
+            level,
+            least,
+            most,
+            highest_100mV,
+            lowest_100mV,
+            phase,
+            unloads_at,
+            resolution,
+            correction,
+            mode,
+            kept_percent,
+            protection_10ms,
+            overload_percent,
+        ) = _STORED.unpack(self._read(*STORED_SPAN))
         if model & 0xFF != SERIES:
             known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
             raise WrongIdentity(
@@ -97,15 +110,11 @@ class FeetechServo(SmartServo):
         for what, is_right, expected, found in (
             ("mode", mode == 0, "0 (position)", mode),
             ("angular resolution (register 30)", resolution <= 1, f"1 ({COUNTS_PER_TURN} counts a turn)", resolution),
-        ):  # fmt: skip
+        ):
             if not is_right:
-                raise WrongIdentity(
-                    f"{self.where}: expected {what} {expected}, it is {found}: set it with Feetech's FD tool"
-                )
+                raise WrongIdentity(f"{self.where}: expected {what} {expected}, it is {found}: set it with Feetech's FD tool")
         if level != ALL_ANSWERED:
-            self._require_answers(
-                f"response level {ALL_ANSWERED} (register 8)", level, ACCELERATION, "Feetech's FD tool"
-            )
+            self._require_answers(f"response level {ALL_ANSWERED} (register 8)", level, ACCELERATION, "Feetech's FD tool")
         self.model_name, self.bears_V = MODELS.get(model, ""), (lowest_100mV * 0.1, highest_100mV * 0.1)
         self._speed_0_is_full = bool(phase & SPEED_0_IS_FULL)
         self.return_delay_s = delay * DELAY_STEP_s

@@ -190,9 +190,7 @@ class LeapWatch:
         )
         what = f"and {other} exchanged their names" if other else f"leapt by {1e3 * way_m:.0f} mm"
         self._before.setdefault(name, last)
-        self._why[name] = (
-            f"body {name} {what} at frame {number}: cover it for a moment so that it is found anew"
-        )
+        self._why[name] = f"body {name} {what} at frame {number}: cover it for a moment so that it is found anew"
 
     def _forget(self, name: str) -> None:
         for known in (self._last, self._before, self._why):
@@ -223,9 +221,7 @@ class SteadyPose:
         if sum(a * b for a, b in zip(q, self._mean.quaternion, strict=True)) < 0.0:
             w, x, y, z = q
             q = (-w, -x, -y, -z)
-        has_moved = (
-            math.dist(place, self._mean.position_m) > MOVED_m or math.dist(q, self._mean.quaternion) > MOVED
-        )
+        has_moved = math.dist(place, self._mean.position_m) > MOVED_m or math.dist(q, self._mean.quaternion) > MOVED
         self._count = 1 if has_moved else min(self._count + 1, FRAMES)
         share = 1.0 / self._count
         x, y, z = (m + share * (v - m) for m, v in zip(self._mean.position_m, place, strict=True))

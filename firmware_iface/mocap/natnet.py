@@ -24,16 +24,7 @@ from struct import Struct
 
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardSilent, WrongIdentity
-from firmware_iface.mocap.bodies import (
-    NOWHERE,
-    BodyFrame,
-    FARTHEST_m,
-    Fields,
-    Malformed,
-    RigidPose,
-    SeenBody,
-    unit,
-)
+from firmware_iface.mocap.bodies import NOWHERE, BodyFrame, FARTHEST_m, Fields, Malformed, RigidPose, SeenBody, unit
 from firmware_iface.udp import UdpListener
 
 CONNECT, SERVER_INFO, REQUEST_MODELS, MODELS, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
@@ -234,9 +225,7 @@ class NatNetStream:
         server = self._server
         if server.version < OLDEST or server.version[0] > NEWEST_MAJOR:
             version = ".".join(map(str, server.version))
-            raise WrongIdentity(
-                f"{self.name}: {server.program} speaks NatNet {version}, expected 3.0 to {NEWEST_MAJOR}.x"
-            )
+            raise WrongIdentity(f"{self.name}: {server.program} speaks NatNet {version}, expected 3.0 to {NEWEST_MAJOR}.x")
         if server.group:
             self._data = UdpListener("NatNet", server.data_port, self._commands.sender, group=server.group)
         self._ask(request(REQUEST_MODELS))

@@ -86,9 +86,7 @@ def unpack_names(content: bytes) -> list[tuple[str, bool]] | None:
     except ElementTree.ParseError:
         return None
     bodies = root.findall(".//The_6D/Body")
-    found = [
-        (body.findtext("Name", ""), body.findtext("Enabled", "true").lower() == "true") for body in bodies
-    ]
+    found = [(body.findtext("Name", ""), body.findtext("Enabled", "true").lower() == "true") for body in bodies]
     return found if all(name for name, _ in found) and len(found) <= MOST_ITEMS else None
 
 
@@ -218,9 +216,7 @@ class QtmStream:
             try:
                 packets = self._packets.feed(part)
             except Malformed:
-                raise LinkLost(
-                    f"{self.name}: sends packets of impossible sizes: is it QTM's little-endian port?"
-                ) from None
+                raise LinkLost(f"{self.name}: sends packets of impossible sizes: is it QTM's little-endian port?") from None
             found += [frame for kind, content in packets if (frame := self._taken(kind, content)) is not None]
         return found
 

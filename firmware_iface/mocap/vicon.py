@@ -12,16 +12,7 @@ from __future__ import annotations
 import math
 from struct import Struct
 
-from firmware_iface.mocap.bodies import (
-    BodyFrame,
-    FARTHEST_m,
-    Fields,
-    Malformed,
-    Quaternion,
-    RigidPose,
-    SeenBody,
-    product,
-)
+from firmware_iface.mocap.bodies import BodyFrame, FARTHEST_m, Fields, Malformed, Quaternion, RigidPose, SeenBody, product
 from firmware_iface.udp import FrameListener, UdpListener
 
 DEFAULT_PORT = 51001

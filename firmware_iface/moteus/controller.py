@@ -5,14 +5,7 @@ import struct
 from collections.abc import Callable
 from typing import Final
 
-from firmware_iface.errors import (
-    BoardReset,
-    BoardSilent,
-    LinkError,
-    MisuseError,
-    ProtocolViolation,
-    WrongIdentity,
-)
+from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.wire import Frame, MoteusMode, Register
 from firmware_iface.node_bus import NodeBoard, NodeBus
@@ -25,9 +18,7 @@ DRIVEN_FOR = 3  # commands of position mode in a row; replies of commands before
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
 _IDENTITY: Final = {Register.HOME_STATE, Register.FIRMWARE, *(Register.SERIAL + k for k in range(3))}
-OPTIONAL: Final = frozenset(
-    (Register.AUX1_INPUTS, Register.MILLISECONDS)
-)  # older firmware does not have them
+OPTIONAL: Final = frozenset((Register.AUX1_INPUTS, Register.MILLISECONDS))  # older firmware does not have them
 _NOT_RUNNING: Final = (MoteusMode.STOPPED, MoteusMode.FAULT, MoteusMode.TIMEOUT)
 
 
@@ -109,11 +100,7 @@ class Moteus(NodeBoard):
         self.await_status(is_asked_only=True)
         words = [int(known.get(Register.SERIAL + k, 0)) & 0xFFFF_FFFF for k in (2, 1, 0)]
         said = f"firmware 0x{int(known.get(Register.FIRMWARE, 0)):06x}, serial number {''.join(f'{word:08x}' for word in words)}"
-        lacks = [
-            f"0x{register:03X}"
-            for register in (Register.AUX1_INPUTS, Register.MILLISECONDS)
-            if register in self._unknown
-        ]
+        lacks = [f"0x{register:03X}" for register in (Register.AUX1_INPUTS, Register.MILLISECONDS) if register in self._unknown]
         return said + (f", without registers {', '.join(lacks)}" if lacks else "")
 
     def setting(self, name: str) -> float:
@@ -202,9 +189,7 @@ class Moteus(NodeBoard):
         if Register.MILLISECONDS in found and self._has_restarted(int(found[Register.MILLISECONDS]), now_s):
             self.resets += 1
             self.wanted = wire.brake(self.number)
-            return BoardReset(
-                f"{self.where}: restarted by itself; its motor was free: check its supply and cable"
-            )
+            return BoardReset(f"{self.where}: restarted by itself; its motor was free: check its supply and cable")
         return None
 
     def _look_for_others(self) -> None:

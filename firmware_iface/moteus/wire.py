@@ -86,9 +86,26 @@ def position(controller: int, command: Position) -> Frame:
     """Command position mode, and ask for the values."""
     c = command
     written = _POSITION.pack(
-        *_MODE, MoteusMode.POSITION, 0x0C, 6, 0x20, c.turns, c.speed_turns_s, c.torque_Nm, c.gain, c.gain, c.most_Nm,
-        0x0F, 0x27, c.watchdog_s, _NO_LIMIT, _NO_LIMIT, 0x0D, 0x2B, c.gain,
-    )  # fmt: skip
+        *_MODE,
+        MoteusMode.POSITION,
+        0x0C,
+        6,
+        0x20,
+        c.turns,
+        c.speed_turns_s,
+        c.torque_Nm,
+        c.gain,
+        c.gain,
+        c.most_Nm,
+        0x0F,
+        0x27,
+        c.watchdog_s,
+        _NO_LIMIT,
+        _NO_LIMIT,
+        0x0D,
+        0x2B,
+        c.gain,
+    )
     return _frame(controller, written + QUERY)
 
 

@@ -18,13 +18,7 @@ from firmware_iface.errors import (
 from firmware_iface.motor import wire
 from firmware_iface.motor.bus import ANSWER_TIMEOUT_s, MotorBus, ParameterChannel
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
-from firmware_iface.motor.wire import (
-    SEQUENCE_MASK,
-    DigitalCommand,
-    DigitalReply,
-    MotorParameter,
-    SetpointMode,
-)
+from firmware_iface.motor.wire import SEQUENCE_MASK, DigitalCommand, DigitalReply, MotorParameter, SetpointMode
 
 __all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
 
@@ -52,9 +46,7 @@ class MotorBoard:
     use them before and after a run only.
     """
 
-    def __init__(
-        self, bus: MotorBus, node: int, name: str = "", problems: list[LinkError] | None = None
-    ) -> None:
+    def __init__(self, bus: MotorBus, node: int, name: str = "", problems: list[LinkError] | None = None) -> None:
         """`problems`: where restarts and violations of this board go, if not to those that `MotorBus.update` raises."""
         self._problems = bus.problems if problems is None else problems
         self.node = node
@@ -74,9 +66,7 @@ class MotorBoard:
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self.state: DriveState | None = None
         """In the latest reply; None before the first, and after a reset."""
-        self._holds_alone = (
-            True  # without a host, by its watchdog's action, unless it was found to do something else
-        )
+        self._holds_alone = True  # without a host, by its watchdog's action, unless it was found to do something else
         self._is_as_found = True  # no state was commanded since it was connected
         self._order = ReplyOrder()
         self._parameters = ParameterChannel(bus, node, lambda: self.where)
@@ -123,13 +113,10 @@ class MotorBoard:
         """Send one COMMAND with the controlword of the current target state. Raises MisuseError, LinkLost."""
         sequence = (self._sequence + 1) & wire.SEQUENCE_MASK
         try:
-            payload = wire.pack_raw_command(
-                self._controlword, mode | sequence << 3, setpoint_raw, feedforward_mV
-            )
+            payload = wire.pack_raw_command(self._controlword, mode | sequence << 3, setpoint_raw, feedforward_mV)
         except struct.error as problem:
             raise MisuseError(
-                f"{self.where}: cannot send mode {mode}, set-point {setpoint_raw}, "
-                f"feed-forward {feedforward_mV} mV: {problem}"
+                f"{self.where}: cannot send mode {mode}, set-point {setpoint_raw}, feed-forward {feedforward_mV} mV: {problem}"
             ) from None
         self._bus.link.send(self._command_id, payload)
         self._sequence, self._last = sequence, (mode, setpoint_raw)
@@ -264,9 +251,7 @@ class MotorBoard:
             if self.state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
                 return
             if self._bus.clock.now_s() >= deadline_s:
-                raise BoardFaulted(
-                    f"{self.where}: its fault ({self._fault_names()}) cannot be acknowledged: the cause persists"
-                )
+                raise BoardFaulted(f"{self.where}: its fault ({self._fault_names()}) cannot be acknowledged: the cause persists")
             self._send_and_wait(DriveCommand.FAULT_RESET, deadline_s)
 
     def step_fault_reset(self) -> bool:
@@ -356,11 +341,7 @@ class MotorBoard:
     def _take_state(self, state: DriveState) -> None:
         before, self.state = self.state, state
         # Only a command leads to this state; without one, it is a restart whose start-up message was lost.
-        if (
-            state in _OFF_STATES
-            and before not in (None, *_OFF_STATES)
-            and self._controlword not in _KEEPS_OFF
-        ):
+        if state in _OFF_STATES and before not in (None, *_OFF_STATES) and self._controlword not in _KEEPS_OFF:
             self._was_reset()
 
     def _take_answer(self, payload: bytes, now_s: float) -> None:

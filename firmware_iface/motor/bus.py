@@ -8,24 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import (
-    AnotherHost,
-    BoardRefused,
-    BoardSilent,
-    LinkLost,
-    MisuseError,
-    Problems,
-    ProtocolViolation,
-)
+from firmware_iface.errors import AnotherHost, BoardRefused, BoardSilent, LinkLost, MisuseError, Problems, ProtocolViolation
 from firmware_iface.link import FrameLink
 from firmware_iface.motor import wire
-from firmware_iface.motor.wire import (
-    MotorParameter,
-    Operation,
-    ParameterAnswer,
-    ParameterRequest,
-    ParameterResult,
-)
+from firmware_iface.motor.wire import MotorParameter, Operation, ParameterAnswer, ParameterRequest, ParameterResult
 
 FrameHandler = Callable[[bytes, float], None]
 """Takes a payload and the time it was read [s]. Appends to `MotorBus.problems`, never raises."""
@@ -123,8 +109,7 @@ class MotorBus:
             violation = AnotherHost if can_id - node == wire.COMMAND_ID else ProtocolViolation
             self.problems.append(
                 violation(
-                    f"CAN bus {self.name}: another program commands node {node} (id {can_id:#05x}); "
-                    "stop the other program",
+                    f"CAN bus {self.name}: another program commands node {node} (id {can_id:#05x}); stop the other program",
                     payload,
                 )
             )
@@ -231,9 +216,7 @@ class ParameterChannel:
     def write(self, index: int, value: int) -> None:
         """Set the raw value. Raises RequestRefused, BoardSilent, ProtocolViolation if the board reports another."""
         stored = self._ask(Operation.WRITE, index, value)
-        if (
-            stored != value and index != MotorParameter.POSITION_COUNT
-        ):  # the count is live and may have changed
+        if stored != value and index != MotorParameter.POSITION_COUNT:  # the count is live and may have changed
             raise ProtocolViolation(f"{self._where()}: {_named(index)} is {stored} after {value} was written")
 
     def require_single_board(self, index: int) -> None:

@@ -142,9 +142,7 @@ class MotorCommand:
 
     def pack(self) -> bytes:
         """Pack the payload; struct.error if a number does not fit its field."""
-        return pack_raw_command(
-            self.controlword, self.mode | self.sequence << 3, self.setpoint_raw, self.feedforward_mV
-        )
+        return pack_raw_command(self.controlword, self.mode | self.sequence << 3, self.setpoint_raw, self.feedforward_mV)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
@@ -190,9 +188,7 @@ def unpack_reply(payload: bytes) -> Reply:
     """Unpack 8 bytes."""
     statusword, mixed, current_mA, supply_mV, temperature, faults = _REPLY.unpack(payload)
     # One a board and cycle: without a named tuple's own constructor, which is a Python function.
-    return tuple.__new__(
-        Reply, (statusword, mixed & 7, mixed >> 3, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults)
-    )
+    return tuple.__new__(Reply, (statusword, mixed & 7, mixed >> 3, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults))
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,14 +4,7 @@ import math
 import struct
 from typing import Final
 
-from firmware_iface.errors import (
-    BoardFaulted,
-    BoardRefused,
-    BoardReset,
-    BoardSilent,
-    ProtocolViolation,
-    WrongIdentity,
-)
+from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, ProtocolViolation, WrongIdentity
 from firmware_iface.node_bus import NodeBus, SteadyMessages, UnaskedBoard
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.wire import AxisState, Error, Frame, OdriveCommand, OdriveControlMode
@@ -150,8 +143,7 @@ class OdriveAxis(UnaskedBoard):
         asked_s = self._bus.clock.now_s()
         arrived_at_s = self._at_s
         if not self._bus.waits(
-            lambda: arrived_at_s[OdriveCommand.ENCODER] > asked_s and self.counted_at_s > -math.inf,
-            STATUS_WAIT_s,
+            lambda: arrived_at_s[OdriveCommand.ENCODER] > asked_s and self.counted_at_s > -math.inf, STATUS_WAIT_s
         ):
             self.await_status()
 
@@ -188,9 +180,7 @@ class OdriveAxis(UnaskedBoard):
             case OdriveCommand.IQ:
                 self.current_A = wire.pair(payload)[1]
             case OdriveCommand.TEMPERATURE:
-                self.temperature_degC = max(
-                    wire.pair(payload)
-                )  # without a motor's thermistor, NaN is the second
+                self.temperature_degC = max(wire.pair(payload))  # without a motor's thermistor, NaN is the second
             case OdriveCommand.SENSORLESS_ERROR:
                 self._is_old |= wire.is_sensorless_error(payload)
             case OdriveCommand.BUS:
@@ -213,9 +203,7 @@ class OdriveAxis(UnaskedBoard):
         self.errors, self.state = heartbeat.errors & ~Error.INITIALIZING, heartbeat.state
         # An operation that ends by an error says so; one that ends without was ended by the host, or by a restart.
         is_unasked = self._wanted is AxisState.CLOSED_LOOP_CONTROL or now_s - before_s > GAP_s
-        if Error.INITIALIZING in heartbeat.errors or (
-            was_driving and not self.is_driving and not self.errors and is_unasked
-        ):
+        if Error.INITIALIZING in heartbeat.errors or (was_driving and not self.is_driving and not self.errors and is_unasked):
             self._restarted()
         elif self._asked_s >= before_s and heartbeat.result not in _GOES_ON:
             self._bus.problems.append(
@@ -233,6 +221,4 @@ class OdriveAxis(UnaskedBoard):
             return
         self.resets += 1
         self.supply_V = math.nan
-        self._bus.problems.append(
-            BoardReset(f"{self.where}: restarted by itself; its motor is free: check its supply and cable")
-        )
+        self._bus.problems.append(BoardReset(f"{self.where}: restarted by itself; its motor is free: check its supply and cable"))

@@ -84,12 +84,7 @@ class PacketLine(PolledLine):
         self._ask(address, command, None, lambda: data, where)
 
     def _ask(
-        self,
-        address: int,
-        command: int,
-        reply_bytes: int | tuple[int, ...] | None,
-        data: Callable[[], bytes] | None,
-        where: str,
+        self, address: int, command: int, reply_bytes: int | tuple[int, ...] | None, data: Callable[[], bytes] | None, where: str
     ) -> bytes:
         answers: list[bytes] = []
         question = RoboclawQuestion(address, command, reply_bytes, lambda got, _: answers.append(got), data)
@@ -99,9 +94,7 @@ class PacketLine(PolledLine):
 
 
 CHANNELS = 2
-LONGEST_WAITED = (
-    20  # in 0.1 s; one with a longer time-out, as with none (0), counts as holding what it drives
-)
+LONGEST_WAITED = 20  # in 0.1 s; one with a longer time-out, as with none (0), counts as holding what it drives
 LEAST_TIMEOUT = 1  # in 0.1 s; 0 switches the board's time-out off
 
 
@@ -148,9 +141,7 @@ class RoboClaw:
         self._line = line
         self._timeout: int | None = None  # as set, in 0.1 s
         self.counts_question = RoboclawQuestion(address, RoboclawCommand.READ_ENCODERS, 8, self._take_counts)
-        self._duty = RoboclawQuestion(
-            address, RoboclawCommand.DUTY_M1_M2, None, self._take_duty, self._duty_data
-        )
+        self._duty = RoboclawQuestion(address, RoboclawCommand.DUTY_M1_M2, None, self._take_duty, self._duty_data)
         self._currents = RoboclawQuestion(address, RoboclawCommand.READ_CURRENTS, 4, self._take_currents)
         status = RoboclawQuestion(address, RoboclawCommand.READ_STATUS, wire.STATUS_BYTES, self._take_status)
         self._slow = (
@@ -192,9 +183,7 @@ class RoboClaw:
         text = self._read(RoboclawCommand.READ_FIRMWARE_VERSION, VERSION_BYTES)
         version = text.decode("ascii", errors="replace").strip("\n\0 ")
         if "claw" not in version.lower() and "mcp" not in version.lower():
-            raise WrongIdentity(
-                f"{self.where}: expected a RoboClaw or MCP controller, it says it is {version!r}"
-            )
+            raise WrongIdentity(f"{self.where}: expected a RoboClaw or MCP controller, it says it is {version!r}")
         pins = tuple(self._read(RoboclawCommand.READ_PIN_MODES, wire.PIN_MODE_BYTES))
         modes = struct.unpack(">BB", self._read(RoboclawCommand.READ_ENCODER_MODES, 2))
         self.found_duty = self._settled_duty()
@@ -230,10 +219,7 @@ class RoboClaw:
 
     def require_quadrature(self, channel: int) -> None:
         """WrongIdentity unless the encoder input of a channel (1 or 2) counts quadrature edges."""
-        if (
-            self.identity is not None
-            and (mode := self.identity.encoder_modes[channel - 1]) & wire.QUADRATURE_ONLY
-        ):
+        if self.identity is not None and (mode := self.identity.encoder_modes[channel - 1]) & wire.QUADRATURE_ONLY:
             raise WrongIdentity(
                 f"{self.where}: expected a quadrature encoder at channel {channel}, its encoder mode is {mode:#04x} (absolute"
                 " or analog); set it in the vendor's Motion Studio"
@@ -275,9 +261,7 @@ class RoboClaw:
         for channel, limit_A in enumerate(current_limits_A):
             self._command(RoboclawCommand.SET_DUTY_ACCELERATION_1 + channel, change)
             if math.isfinite(limit_A):
-                self._command(
-                    RoboclawCommand.SET_CURRENT_LIMIT_1 + channel, struct.pack(">II", round(limit_A * 100), 0)
-                )
+                self._command(RoboclawCommand.SET_CURRENT_LIMIT_1 + channel, struct.pack(">II", round(limit_A * 100), 0))
         self._command(RoboclawCommand.SET_SERIAL_TIMEOUT, bytes((wanted,)))
         self._timeout = wanted
         self.status = None  # of before a restart

@@ -21,14 +21,8 @@ FULL_DUTY: Final = 32767
 FASTEST_DUTY_CHANGE: Final = 655_359  # -100 % to 100 % in 100 ms: what the board allows at most
 TIMEOUT_STEP_s: Final = 0.1
 LONGEST_VERSION: Final = 48
-PIN_MODE_BYTES: Final = (
-    3,
-    5,
-)  # the manual's S3 to S5; and CTRL1, CTRL2: the vendor's client basicmicro 2.0.10, GETPINFUNCTIONS
-HOME_PINS: Final = (
-    0x62,
-    0x04,
-)  # modes of S4 and S5, as command 74 has them: "Home (User)"; in earlier manuals, "home"
+PIN_MODE_BYTES: Final = (3, 5)  # the manual's S3 to S5; and CTRL1, CTRL2: the vendor's client basicmicro 2.0.10, GETPINFUNCTIONS
+HOME_PINS: Final = (0x62, 0x04)  # modes of S4 and S5, as command 74 has them: "Home (User)"; in earlier manuals, "home"
 # "Limit (Fwd)", "Limit (Rev)", "Limit (Both)": the board itself stops a motor that drives forward, backward or either way
 # into it.
 LIMIT_FORWARD, LIMIT_REVERSE = 0x12, 0x22
@@ -103,9 +97,7 @@ _OLDER_STATUS: Final = (
     (0x8000, RoboclawStatus.S5_TRIGGERED),
 )
 IDLES: Final = 0x80  # at duty 0, after the delay, the motor is free
-QUADRATURE_ONLY: Final = (
-    0x9F  # of an encoder mode: neither absolute nor RC/analog; bits 5 and 6 only reverse senses
-)
+QUADRATURE_ONLY: Final = 0x9F  # of an encoder mode: neither absolute nor RC/analog; bits 5 and 6 only reverse senses
 
 
 def status(data: bytes) -> RoboclawStatus:

@@ -121,11 +121,7 @@ class Vesc(UnaskedBoard):
             (wire.ask_settings(self.number), lambda: self.settings is not None, SETTINGS_WAIT_s, ""),
         )
         self.settings = self.fault = None
-        silent = [
-            what
-            for frame, is_answered, wait_s, what in asked
-            if not self._answers(frame, is_answered, wait_s)
-        ]
+        silent = [what for frame, is_answered, wait_s, what in asked if not self._answers(frame, is_answered, wait_s)]
         if self.fault is None:
             self.tells_faults, self.fault = False, 0
         self.await_status()
@@ -144,9 +140,7 @@ class Vesc(UnaskedBoard):
         if self.tells_faults:
             self._bus.send(wire.ask_fault(self.number))
         if not self._bus.waits(lambda: min(self.at_s, self._told_at_s) > asked_s, STATUS_WAIT_s):
-            missing = [
-                packet.name.replace("_", " ") for packet, at_s in self._at_s.items() if at_s <= asked_s
-            ]
+            missing = [packet.name.replace("_", " ") for packet, at_s in self._at_s.items() if at_s <= asked_s]
             missing += ["answer to COMM_GET_VALUES_SELECTIVE"] if self._told_at_s <= asked_s else []
             is_gone = not self._is_here and len(missing) == len(NEEDED)
             remedy = (
@@ -185,9 +179,7 @@ class Vesc(UnaskedBoard):
             self._take(packet, payload, now_s)
         except struct.error:
             self._bus.problems.append(
-                ProtocolViolation(
-                    f"{self.where}: packet {packet} with {len(payload)} bytes: check its firmware"
-                )
+                ProtocolViolation(f"{self.where}: packet {packet} with {len(payload)} bytes: check its firmware")
             )
 
     def _take(self, packet: int, payload: bytes, now_s: float) -> None:
@@ -272,6 +264,4 @@ class Vesc(UnaskedBoard):
         self._forget()
         self._last_raw = None
         self._counters.clear()
-        self._bus.problems.append(
-            BoardReset(f"{self.where}: restarted by itself; its motor is free: check its supply and cable")
-        )
+        self._bus.problems.append(BoardReset(f"{self.where}: restarted by itself; its motor is free: check its supply and cable"))

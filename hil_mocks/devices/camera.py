@@ -21,9 +21,7 @@ class Filmed(Protocol):
     def tip_pose(self) -> TipPose: ...
 
 
-Transport = Literal[
-    "datagrams", "commands", "connection"
-]  # sent to a port; UDP commands answered; a TCP server
+Transport = Literal["datagrams", "commands", "connection"]  # sent to a port; UDP commands answered; a TCP server
 _FRAME = struct.Struct("<4sBBHIdddd")
 _VISIBLE = 1
 TIP_MARKER = 0

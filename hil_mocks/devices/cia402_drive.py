@@ -15,19 +15,10 @@ from hil_mocks.devices.motor_inputs import NEXT, OPEN, Frame, MotorState, Output
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
 HOMING, CSP, CSV, CST = 6, 8, 9, 10
-START_HOMING, HOMED = (
-    0x10,
-    0x1400,
-)  # bit 4 of the controlword; target reached and homing attained, of the statusword
+START_HOMING, HOMED = (0x10, 0x1400)  # bit 4 of the controlword; target reached and homing attained, of the statusword
 POSITION_RATE, SPEED_RATE, SPEED_GAIN, SPEED_INTEGRAL = 20.0, 430.0, 2.0, 40.0  # 1/s; 1/s; - at most; 1/s
 SPEED_FILTER_S = 0.0015
-OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST, FOLLOWING_ERROR = (
-    0x2310,
-    0x4310,
-    0x3220,
-    0x8130,
-    0x8611,
-)
+OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST, FOLLOWING_ERROR = (0x2310, 0x4310, 0x3220, 0x8130, 0x8611)
 NO_WINDOW, DID_NOT_FOLLOW = 0xFFFF_FFFF, 0x2000  # of 0x6065; bit 13 of the statusword in the position modes
 NO_REMOTE_REQUESTS = 0x4000_0000  # bit of a TPDO's COB-ID that a drive without them keeps
 _LOWEST_SUPPLY_V = 9.0
@@ -41,9 +32,7 @@ NAME = (0x1008, 0)
 COMMANDED = (0x6040, 0x6060, 0x6071, 0x607A, 0x60FF)  # not stored
 NOT_MAPPABLE = 0x06040041
 MAXON, EPOS4 = 0x0000_00FB, 0x6050_0000
-_READ_ONLY = {
-    0x1000, 0x1018, 0x2200, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6075, 0x6076, 0x6077, 0x6079, 0x60FD, 0x6502,
-}  # fmt: skip
+_READ_ONLY = {0x1000, 0x1018, 0x2200, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6075, 0x6076, 0x6077, 0x6079, 0x60FD, 0x6502}
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +99,7 @@ class Cia402Mock:
         """State after power-up or NMT reset: everything at its default, position 0, a boot-up message."""
         node = self.setup.node
         self.objects = _defaults(self.setup) | self._stored
-        self._segments: tuple[int, bytes] = (
-            0,
-            b"",
-        )  # of an answer that is too long for a frame: toggle bit, what is left
+        self._segments: tuple[int, bytes] = (0, b"")  # of an answer that is too long for a frame: toggle bit, what is left
         self._is_homed = False
         for pdo, base in ((0, 0x200), (1, 0x300)):
             self.objects[0x1400 + pdo, 1] = ("u32", base + node)
@@ -260,12 +246,7 @@ class Cia402Mock:
         if 0x1400 <= at <= 0x1BFF and self.nmt_state == OPERATIONAL:
             return STATE
         (value,) = struct.unpack(_FORMATS[kind], data[:size])
-        if (
-            0x1600 <= at <= 0x1BFF
-            and at & 0x200
-            and sub
-            and (value >> 16, value >> 8 & 0xFF) not in self.objects
-        ):
+        if 0x1600 <= at <= 0x1BFF and at & 0x200 and sub and (value >> 16, value >> 8 & 0xFF) not in self.objects:
             return NO_OBJECT
         if 0x1A00 <= at <= 0x1BFF and sub and value >> 16 == 0x2200:
             return NOT_MAPPABLE
@@ -283,21 +264,13 @@ class Cia402Mock:
 
     def _statusword(self) -> int:
         is_homing = self.objects[0x6060, 0][1] == HOMING
-        word = (
-            self.state.value
-            | (HOMED if is_homing and self._is_homed else 0)
-            | (DID_NOT_FOLLOW if self._is_behind else 0)
-        )
+        word = self.state.value | (HOMED if is_homing and self._is_homed else 0) | (DID_NOT_FOLLOW if self._is_behind else 0)
         return word | 0x200 | (0x10 if self.state in (MotorState.SWITCHED_ON, MotorState.ENABLED) else 0)
 
     def _control(self, controlword: int) -> None:
         word = word_of(controlword, self._word_before)
         new = NEXT.get((self.state, word))
-        if (
-            self.state is MotorState.QUICK_STOP
-            and word is Word.ENABLE_OPERATION
-            and self.objects[0x605A, 0][1] >= 5
-        ):
+        if self.state is MotorState.QUICK_STOP and word is Word.ENABLE_OPERATION and self.objects[0x605A, 0][1] >= 5:
             new = MotorState.ENABLED  # transition 16
         starts_homing = controlword & START_HOMING and not self._word_before & START_HOMING
         if starts_homing and self.state is MotorState.ENABLED and self.objects[0x6060, 0][1] == HOMING:
@@ -367,9 +340,7 @@ class Cia402Mock:
             self._heard_s = None
             if self.state is MotorState.ENABLED and self.objects[0x6007, 0][1] == 3:
                 self.state, self._held, self._integral_V = MotorState.QUICK_STOP, self.position, 0.0
-            self.outgoing.append(
-                (0x80 + self.setup.node, struct.pack("<HB5s", HEARTBEAT_LOST, 0x11, bytes(5)))
-            )
+            self.outgoing.append((0x80 + self.setup.node, struct.pack("<HB5s", HEARTBEAT_LOST, 0x11, bytes(5))))
 
     def _beat(self, now_s: float) -> None:
         every_s = self.objects[0x1017, 0][1] * 1e-3
@@ -434,19 +405,41 @@ class Cia402Mock:
 def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
     """The dictionary after power-up: type and value by index and sub-index."""
     objects: dict[tuple[int, int], tuple[str, int]] = {
-        (0x1000, 0): ("u32", 0x0002_0192), (0x1001, 0): ("u8", 0),
-        (0x1010, 0): ("u8", 1), STORE: ("u32", 1), (0x1011, 0): ("u8", 1), RESTORE: ("u32", 1),
-        (0x1016, 0): ("u8", 1), (0x1016, 1): ("u32", 0), (0x1017, 0): ("u16", 0),
-        (0x1018, 0): ("u8", 4), (0x1018, 1): ("u32", setup.vendor), (0x1018, 2): ("u32", setup.product),
-        (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
-        (0x6007, 0): ("i16", 1), (0x603F, 0): ("u16", 0), (0x6040, 0): ("u16", 0), (0x6041, 0): ("u16", 0),
-        (0x605A, 0): ("i16", 2), (0x605E, 0): ("i16", setup.fault_reaction), (0x6065, 0): ("u32", setup.following_error_window),
-        (0x6066, 0): ("u16", setup.following_error_ms), (0x60A8, 0): ("u32", setup.position_unit),
-        (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
-        (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6077, 0): ("i16", 0), (0x607A, 0): ("i32", 0),
+        (0x1000, 0): ("u32", 0x0002_0192),
+        (0x1001, 0): ("u8", 0),
+        (0x1010, 0): ("u8", 1),
+        STORE: ("u32", 1),
+        (0x1011, 0): ("u8", 1),
+        RESTORE: ("u32", 1),
+        (0x1016, 0): ("u8", 1),
+        (0x1016, 1): ("u32", 0),
+        (0x1017, 0): ("u16", 0),
+        (0x1018, 0): ("u8", 4),
+        (0x1018, 1): ("u32", setup.vendor),
+        (0x1018, 2): ("u32", setup.product),
+        (0x1018, 3): ("u32", 0x0001_0000),
+        (0x1018, 4): ("u32", setup.serial_number),
+        (0x6007, 0): ("i16", 1),
+        (0x603F, 0): ("u16", 0),
+        (0x6040, 0): ("u16", 0),
+        (0x6041, 0): ("u16", 0),
+        (0x605A, 0): ("i16", 2),
+        (0x605E, 0): ("i16", setup.fault_reaction),
+        (0x6065, 0): ("u32", setup.following_error_window),
+        (0x6066, 0): ("u16", setup.following_error_ms),
+        (0x60A8, 0): ("u32", setup.position_unit),
+        (0x6060, 0): ("i8", 0),
+        (0x6061, 0): ("i8", 0),
+        (0x6064, 0): ("i32", 0),
+        (0x606C, 0): ("i32", 0),
+        (0x6071, 0): ("i16", 0),
+        (0x6077, 0): ("i16", 0),
+        (0x607A, 0): ("i32", 0),
         **(_of_epos4(setup) if setup.is_epos4 else _plain(setup)),
-        (0x60FD, 0): ("u32", 0), (0x60FF, 0): ("i32", 0), (0x6502, 0): ("u32", setup.modes),
-    }  # fmt: skip
+        (0x60FD, 0): ("u32", 0),
+        (0x60FF, 0): ("i32", 0),
+        (0x6502, 0): ("u32", setup.modes),
+    }
     if setup.has_cycle_time:
         objects |= {(0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3)}
     for pdo in (0, 1):
@@ -472,11 +465,16 @@ def _plain(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
 def _of_epos4(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
     """The same as maxon has it: nominal current and limit (mA), torque constant (uNm/A), rated torque (uNm), supply (0.1 V)."""
     return {
-        (0x2200, 0): ("u8", 1), (0x2200, 1): ("u16", 0), (0x3001, 0): ("u8", 5),
-        (0x3001, 1): ("u32", round(1e3 * setup.rated_current_A)), (0x3001, 2): ("u32", round(1e3 * setup.current_limit_A)),
-        (0x3001, 3): ("u8", 1), (0x3001, 4): ("u16", 100), (0x3001, 5): ("u32", round(1e6 * setup.torque_constant_Nm_A)),
+        (0x2200, 0): ("u8", 1),
+        (0x2200, 1): ("u16", 0),
+        (0x3001, 0): ("u8", 5),
+        (0x3001, 1): ("u32", round(1e3 * setup.rated_current_A)),
+        (0x3001, 2): ("u32", round(1e3 * setup.current_limit_A)),
+        (0x3001, 3): ("u8", 1),
+        (0x3001, 4): ("u16", 100),
+        (0x3001, 5): ("u32", round(1e6 * setup.torque_constant_Nm_A)),
         (0x6076, 0): ("u32", round(1e6 * setup.rated_torque_Nm)),
-    }  # fmt: skip
+    }
 
 
 def _packed(kind: str, value: int) -> bytes:

@@ -40,26 +40,50 @@ class Item(NamedTuple):
 
 _GAIN = Item(2, 0, 16_383)
 ITEMS = {
-    7: Item(1, 0, 252, 1), 8: Item(1, 0, 7, 1), RETURN_DELAY: Item(1, 0, 254, 250), 10: Item(1, 0, 13),
-    MODE: Item(1, 0, 16, POSITION), 12: Item(1, 0, 255, 255), 13: Item(1, 1, 2, 2), 20: Item(4, -1_044_479, 1_044_479),
-    24: Item(4, 0, 1023, 10), 31: Item(1, 0, 100, 80), MAX_VOLTAGE: Item(2, 95, 160, 160), MIN_VOLTAGE: Item(2, 95, 160, 95),
-    36: Item(2, 0, 885, 885), CURRENT_LIMIT: Item(2, 0, 1193, 1193), 44: Item(4, 0, 1023, 350),
-    MAX_POSITION: Item(4, 0, 4095, 4095), MIN_POSITION: Item(4, 0, 4095), STARTUP: Item(1, 0, 3), SHUTDOWN: Item(1, 0, 255, 52),
-    TORQUE: Item(1, 0, 1), 65: Item(1, 0, 1), RETURN_LEVEL: Item(1, 0, 2, 2),
-    76: _GAIN._replace(initial=1920), 78: _GAIN._replace(initial=100), 80: _GAIN, 82: _GAIN,
-    84: _GAIN._replace(initial=800), 88: _GAIN, 90: _GAIN, WATCHDOG: Item(1, 0, 127),
-    GOAL_PWM: Item(2, -FULL_PWM, FULL_PWM, FULL_PWM), GOAL_CURRENT: Item(2, -1193, 1193, 1193), 104: Item(4, -1023, 1023),
-    108: Item(4, 0, 32_767), 112: Item(4, 0, 32_767), GOAL: Item(4, -_TURNS_RANGE, _TURNS_RANGE),
-}  # fmt: skip
+    7: Item(1, 0, 252, 1),
+    8: Item(1, 0, 7, 1),
+    RETURN_DELAY: Item(1, 0, 254, 250),
+    10: Item(1, 0, 13),
+    MODE: Item(1, 0, 16, POSITION),
+    12: Item(1, 0, 255, 255),
+    13: Item(1, 1, 2, 2),
+    20: Item(4, -1_044_479, 1_044_479),
+    24: Item(4, 0, 1023, 10),
+    31: Item(1, 0, 100, 80),
+    MAX_VOLTAGE: Item(2, 95, 160, 160),
+    MIN_VOLTAGE: Item(2, 95, 160, 95),
+    36: Item(2, 0, 885, 885),
+    CURRENT_LIMIT: Item(2, 0, 1193, 1193),
+    44: Item(4, 0, 1023, 350),
+    MAX_POSITION: Item(4, 0, 4095, 4095),
+    MIN_POSITION: Item(4, 0, 4095),
+    STARTUP: Item(1, 0, 3),
+    SHUTDOWN: Item(1, 0, 255, 52),
+    TORQUE: Item(1, 0, 1),
+    65: Item(1, 0, 1),
+    RETURN_LEVEL: Item(1, 0, 2, 2),
+    76: _GAIN._replace(initial=1920),
+    78: _GAIN._replace(initial=100),
+    80: _GAIN,
+    82: _GAIN,
+    84: _GAIN._replace(initial=800),
+    88: _GAIN,
+    90: _GAIN,
+    WATCHDOG: Item(1, 0, 127),
+    GOAL_PWM: Item(2, -FULL_PWM, FULL_PWM, FULL_PWM),
+    GOAL_CURRENT: Item(2, -1193, 1193, 1193),
+    104: Item(4, -1023, 1023),
+    108: Item(4, 0, 32_767),
+    112: Item(4, 0, 32_767),
+    GOAL: Item(4, -_TURNS_RANGE, _TURNS_RANGE),
+}
 
 
 def initial(begin: int) -> bytes:
     """The table from `begin` on, at delivery or power-up."""
     table = bytearray(TABLE_BYTES)
     for address, item in ITEMS.items():
-        table[address : address + item.size] = item.initial.to_bytes(
-            item.size, "little", signed=item.lowest < 0
-        )
+        table[address : address + item.size] = item.initial.to_bytes(item.size, "little", signed=item.lowest < 0)
     return bytes(table[begin:])
 
 
@@ -80,9 +104,7 @@ def refusal(table: bytearray, address: int, data: bytes) -> int:
             return ACCESS_ERROR
         if at + item.size > end:
             return LENGTH_ERROR
-        written = int.from_bytes(
-            data[at - address : at - address + item.size], "little", signed=item.lowest < 0
-        )
+        written = int.from_bytes(data[at - address : at - address + item.size], "little", signed=item.lowest < 0)
         if error := _out_of_range(table, at, item, written):
             return error
         at += item.size
@@ -238,11 +260,7 @@ class DynamixelMock:
         if now_s < self._deaf_until_s:
             return None
         self._heard_s = now_s
-        number, level, alert = (
-            self.table[NUMBER],
-            self.table[RETURN_LEVEL],
-            ALERT if self.table[ERROR_STATUS] else 0,
-        )
+        number, level, alert = (self.table[NUMBER], self.table[RETURN_LEVEL], ALERT if self.table[ERROR_STATUS] else 0)
         error, data = self._obey(instruction, parameters, now_s)
         return status_packet(number, error | alert, data) if level >= LEVELS.get(instruction, 2) else None
 
@@ -395,9 +413,7 @@ class DynamixelLineMock:
     def _asked(self, number: int) -> list[DynamixelMock]:
         return [servo for servo in self.servos.values() if servo.table[NUMBER] == number]
 
-    def _answers(
-        self, number: int, instruction: int, parameters: bytes, now_s: float
-    ) -> Iterator[tuple[float, bytes | None]]:
+    def _answers(self, number: int, instruction: int, parameters: bytes, now_s: float) -> Iterator[tuple[float, bytes | None]]:
         """The answers, each after its delay; None: somebody whose turn it was is silent."""
         if number != BROADCAST:
             for servo in self._asked(number):
@@ -418,9 +434,7 @@ class DynamixelLineMock:
                 if instruction == DynamixelInstruction.PING and status is not None:
                     yield servo.delay_s, status
 
-    def _read(
-        self, number: int, address: int, count: int, now_s: float
-    ) -> tuple[DynamixelMock, int, bytes] | None:
+    def _read(self, number: int, address: int, count: int, now_s: float) -> tuple[DynamixelMock, int, bytes] | None:
         """A servo, its error number and its bytes; None if it does not answer."""
         servo = next(iter(self._asked(number)), None)
         said = servo.read(address, count, now_s) if servo else None

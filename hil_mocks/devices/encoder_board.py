@@ -79,9 +79,7 @@ class EncoderBoardMock(EncoderBoardHardware):
         for at, channel in enumerate(self._channels):
             counts[at] = (counters[at] + channel.zero + half) % wrap - half
             flags[at] = levels[at] | channel.flags
-        self._put_content(
-            _REPORT.pack(REPORT, self._sequence, time_us & 0xFFFFFFFF, *flags, *counts), start_s
-        )
+        self._put_content(_REPORT.pack(REPORT, self._sequence, time_us & 0xFFFFFFFF, *flags, *counts), start_s)
 
     def _wrapped(self, value: int) -> int:
         return (value + self._half) % self._wrap - self._half
@@ -111,9 +109,7 @@ class EncoderBoardMock(EncoderBoardHardware):
         elif kind == STREAM:
             self._answer(content, self._stream(int.from_bytes(body, "little"), now_s), now_s)
         elif kind == SET_ZERO:
-            self._answer(
-                content, self._set_zero(body[0], int.from_bytes(body[1:], "little", signed=True)), now_s
-            )
+            self._answer(content, self._set_zero(body[0], int.from_bytes(body[1:], "little", signed=True)), now_s)
         else:
             self._arm_index(content, body[0], body[1], now_s)
 

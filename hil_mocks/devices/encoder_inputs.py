@@ -136,12 +136,8 @@ class EncoderBoardHardware(ABC):
         if part < 1.0:
             raws = [was + round((raw - was) * part) for was, raw in zip(self._before, raws, strict=True)]
         flags = [
-            (HOME if is_home else 0)
-            if (raw - index_raw) % spacing
-            else (INDEX_LEVEL | HOME if is_home else INDEX_LEVEL)
-            for raw, index_raw, spacing, is_home in zip(
-                raws, self._index_raw, self._spacing, self._is_home, strict=True
-            )
+            (HOME if is_home else 0) if (raw - index_raw) % spacing else (INDEX_LEVEL | HOME if is_home else INDEX_LEVEL)
+            for raw, index_raw, spacing, is_home in zip(raws, self._index_raw, self._spacing, self._is_home, strict=True)
         ]
         if self.lost:
             flags = [flag | SIGNAL_LOST if at in self.lost else flag for at, flag in enumerate(flags)]
@@ -172,9 +168,7 @@ class EncoderBoardHardware(ABC):
 
     def _drift(self, now_s: float) -> None:
         for at, counts_s in self.drift.items():
-            whole, self._drifted[at] = divmod(
-                self._drifted.get(at, 0.0) + counts_s * (now_s - self._tick_s), 1.0
-            )
+            whole, self._drifted[at] = divmod(self._drifted.get(at, 0.0) + counts_s * (now_s - self._tick_s), 1.0)
             self._shift[at] += int(whole)
 
     def _passed_indices(self, now_s: float) -> list[tuple[float, int, int]]:

@@ -27,15 +27,7 @@ COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
 VOLTAGE, OVER_HEATED, OVERLOAD = 0x01, 0x04, 0x20
 RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, HIGHEST_VOLTAGE, LOWEST_VOLTAGE = 7, 8, 9, 11, 14, 15
-PHASE, UNLOADING, RESOLUTION, CORRECTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = (
-    18,
-    19,
-    30,
-    31,
-    34,
-    35,
-    36,
-)
+PHASE, UNLOADING, RESOLUTION, CORRECTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = (18, 19, 30, 31, 34, 35, 36)
 STORED_END = 40  # what is below is kept without supply
 STORED = {  # at delivery
     0: 3,
@@ -210,14 +202,7 @@ class FeetechMock:
         speed = round(motor.speed_turns_s * COUNTS_PER_TURN)
         self.table[ERROR] = self._errors(now_s, supply_V)
         struct.pack_into(
-            "<HHHBB",
-            self.table,
-            POSITION,
-            _raw(self.position),
-            _raw(speed),
-            self._load(supply_V),
-            round(supply_V * 10),
-            35,
+            "<HHHBB", self.table, POSITION, _raw(self.position), _raw(speed), self._load(supply_V), round(supply_V * 10), 35
         )
         self.table[MOVING] = int(speed != 0)
         struct.pack_into("<H", self.table, CURRENT, _raw(round(current_A / CURRENT_UNIT_A)))
@@ -277,9 +262,7 @@ class FeetechLineMock:
             there_s += delay_s + len(status) * self._byte_s
             self.outgoing.append((there_s, status))
 
-    def _answers(
-        self, number: int, instruction: int, parameters: bytes, now_s: float
-    ) -> Iterator[tuple[float, bytes]]:
+    def _answers(self, number: int, instruction: int, parameters: bytes, now_s: float) -> Iterator[tuple[float, bytes]]:
         """The answers, each after its delay."""
         if instruction == FeetechInstruction.SYNC_READ and number == BROADCAST:
             for which in parameters[2:]:
@@ -295,9 +278,7 @@ class FeetechLineMock:
                     servo.write(address, parameters[at + 1 : at + 1 + size], now_s)
         elif number == BROADCAST:
             answers = [servo.answer(instruction, parameters, now_s) for servo in self.servos.values()]
-            if instruction == FeetechInstruction.PING and (
-                said := [one for one in answers if one is not None]
-            ):
+            if instruction == FeetechInstruction.PING and (said := [one for one in answers if one is not None]):
                 yield LATENCY_S, reduce(_collided, said)
         elif (asked := self.servos.get(number)) and (status := asked.answer(instruction, parameters, now_s)):
             yield asked.delay_s, status

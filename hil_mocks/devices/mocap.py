@@ -130,8 +130,7 @@ class ViconMock(MocapMock):
         """Header and one item for each visible object."""
         seen = [sight for sight in sights if sight.is_visible]
         items = b"".join(
-            _OBJECT.pack(0, _OBJECT_bytes, sight.name.encode(), *(1e3 * sight.position_m), *_euler_xyz(sight))
-            for sight in seen
+            _OBJECT.pack(0, _OBJECT_bytes, sight.name.encode(), *(1e3 * sight.position_m), *_euler_xyz(sight)) for sight in seen
         )
         return struct.pack("<IB", number & 0xFFFFFFFF, len(seen)) + items
 
@@ -139,11 +138,7 @@ class ViconMock(MocapMock):
 def _euler_xyz(sight: Sight) -> tuple[float, float, float]:
     """Angles with rotation = Rx Ry Rz."""
     r = sight.rotation
-    return (
-        math.atan2(-r[1, 2], r[2, 2]),
-        math.asin(max(-1.0, min(1.0, float(r[0, 2])))),
-        math.atan2(-r[0, 1], r[0, 0]),
-    )
+    return (math.atan2(-r[1, 2], r[2, 2]), math.asin(max(-1.0, min(1.0, float(r[0, 2])))), math.atan2(-r[0, 1], r[0, 0]))
 
 
 # Motive as NatNet 4.1, unicast: answers connect and model requests, sends rigid bodies to the client that
@@ -178,22 +173,13 @@ class NatNetMock(MocapMock):
 
     def _server_info(self) -> bytes:
         name = b"Motive".ljust(256, b"\0")
-        return (
-            name
-            + bytes((3, 1, 0, 0, 4, 1, 0, 0))
-            + struct.pack("<QHB4B", 10_000_000, 1511, 0, 239, 255, 42, 99)
-        )
+        return name + bytes((3, 1, 0, 0, 4, 1, 0, 0)) + struct.pack("<QHB4B", 10_000_000, 1511, 0, 239, 255, 42, 99)
 
     def _models(self) -> bytes:
         markers = [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)]
         models = []
         for number, name in enumerate(self.names, FIRST_ID):
-            body = (
-                name.encode()
-                + b"\0"
-                + struct.pack("<ii3f", number, -1, 0.0, 0.0, 0.0)
-                + struct.pack("<i", len(markers))
-            )
+            body = name.encode() + b"\0" + struct.pack("<ii3f", number, -1, 0.0, 0.0, 0.0) + struct.pack("<i", len(markers))
             body += b"".join(struct.pack("<3f", *marker) for marker in markers)
             body += struct.pack(f"<{len(markers)}i", *range(len(markers)))
             body += b"".join(b"Marker\0" for _ in markers)
@@ -288,8 +274,7 @@ class QtmMock(MocapMock):
 
     def _parameters(self) -> str:
         bodies = "".join(
-            f"<Body><Name>{name}</Name><RGBColor>255</RGBColor><Mesh><Name></Name></Mesh></Body>"
-            for name in self.names
+            f"<Body><Name>{name}</Name><RGBColor>255</RGBColor><Mesh><Name></Name></Mesh></Body>" for name in self.names
         )
         return f"<QTM_Parameters_Ver_1.19><The_6D><Bodies>{len(self.names)}</Bodies>{bodies}</The_6D></QTM_Parameters_Ver_1.19>"
 

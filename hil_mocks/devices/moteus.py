@@ -15,17 +15,7 @@ from dataclasses import dataclass
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
 from hil_mocks.devices.servo_motor import TUNED_SPEED_GAIN, ServoMotor
 
-STOPPED, FAULT, PWM, VOLTAGE, VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT = (
-    0,
-    1,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-    11,
-)
+STOPPED, FAULT, PWM, VOLTAGE, VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT = (0, 1, 5, 6, 7, 8, 9, 10, 11)
 ZERO_VELOCITY, STAY_WITHIN, BRAKED = 12, 13, 15
 DRIVEN = (PWM, VOLTAGE, VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, ZERO_VELOCITY, STAY_WITHIN)
 Q_CURRENT, SET_NEAREST, SET_EXACT, REINDEX, RECAPTURE = 0x01C, 0x130, 0x131, 0x132, 0x133
@@ -41,12 +31,7 @@ THERE_TURNS = 1e-6  # of the goal to its target
 LOWEST_SUPPLY_V, HIGHEST_SUPPLY_V = 9.0, 46.0
 FORMATS = ("<b", "<h", "<i", "<f")
 # Of a register's integers: int8, int16, int32.
-_POSITION, _VELOCITY, _TORQUE, _CURRENT = (
-    (1e-2, 1e-4, 1e-5),
-    (0.1, 2.5e-4, 1e-5),
-    (0.5, 1e-2, 1e-3),
-    (1.0, 0.1, 1e-3),
-)
+_POSITION, _VELOCITY, _TORQUE, _CURRENT = ((1e-2, 1e-4, 1e-5), (0.1, 2.5e-4, 1e-5), (0.5, 1e-2, 1e-3), (1.0, 0.1, 1e-3))
 _VOLTAGE, _SHARE, _TIME, _ACCELERATION = (
     (0.5, 0.1, 1e-3),
     (1 / 127, 1 / 32767, 1 / 2147483647),
@@ -55,18 +40,21 @@ _VOLTAGE, _SHARE, _TIME, _ACCELERATION = (
 )
 SCALES = {
     **dict.fromkeys((0x001, 0x006, 0x020, 0x026, 0x038, 0x03B, 0x040, 0x041, 0x050, SET_NEAREST, SET_EXACT), _POSITION),
-    **dict.fromkeys((0x002, 0x01E, 0x021, 0x028, 0x039, 0x03C, 0x051), _VELOCITY), 0x007: (10.0, 0.05, 1e-4),
-    **dict.fromkeys((0x003, 0x022, 0x025, 0x042, 0x045), _TORQUE), 0x029: _ACCELERATION,
-    **dict.fromkeys((0x004, 0x005, 0x00A, 0x00E, Q_CURRENT, 0x01D, 0x02C), _CURRENT), **dict.fromkeys((0x027, 0x046), _TIME),
+    **dict.fromkeys((0x002, 0x01E, 0x021, 0x028, 0x039, 0x03C, 0x051), _VELOCITY),
+    0x007: (10.0, 0.05, 1e-4),
+    **dict.fromkeys((0x003, 0x022, 0x025, 0x042, 0x045), _TORQUE),
+    0x029: _ACCELERATION,
+    **dict.fromkeys((0x004, 0x005, 0x00A, 0x00E, Q_CURRENT, 0x01D, 0x02C), _CURRENT),
+    **dict.fromkeys((0x027, 0x046), _TIME),
     **dict.fromkeys((0x00D, 0x014, 0x015, 0x016, 0x019, 0x01A, 0x01B, 0x02A), _VOLTAGE),
     **dict.fromkeys((0x010, 0x011, 0x012, 0x018, 0x023, 0x024, 0x02B, 0x043, 0x044, 0x047, 0x073, 0x075), _SHARE),
     **dict.fromkeys((*range(0x060, 0x065), *range(0x068, 0x06D), *range(0x076, 0x080)), _SHARE),
-}  # fmt: skip
+}
 COMMAND = {  # registers that count with a mode in the same frame, and what they are without
     **dict.fromkeys((*range(0x010, 0x013), *range(0x014, 0x017), *range(0x018, 0x01F), 0x020, 0x021, 0x022, 0x027, 0x02D), 0.0),
     **dict.fromkeys((0x023, 0x024, 0x02B), 1.0),
     **dict.fromkeys((0x025, 0x026, 0x028, 0x029, 0x02A, 0x02C, 0x040, 0x041), math.nan),
-}  # fmt: skip
+}
 SHADOWS = {0x042: 0x022, 0x043: 0x023, 0x044: 0x024, 0x045: 0x025, 0x046: 0x027, 0x047: 0x02B, 0x048: 0x02D}
 KEPT = (0x05C, 0x05D, 0x071, *range(0x076, 0x080))  # pins and clock: without a mode
 UUID, UUID_MASK = range(0x150, 0x154), range(0x154, 0x158)
@@ -74,12 +62,7 @@ TELEMETRY = "servo_stats"
 # Its schema: an object (type 16) of an unsigned byte (4), a boolean (2) and a float (7): flags, name, aliases, type, no default.
 SCHEMA = b"\x10\0" + b"".join(
     bytes((0, len(name))) + name + b"\0" + kind + b"\0"
-    for name, kind in (
-        (b"mode", b"\x04\x01"),
-        (b"trajectory_done", b"\x02"),
-        (b"position", b"\x07"),
-        (b"", b"\0"),
-    )
+    for name, kind in ((b"mode", b"\x04\x01"), (b"trajectory_done", b"\x02"), (b"position", b"\x07"), (b"", b"\0"))
 )
 
 
@@ -105,15 +88,19 @@ class MoteusSetup:
         """Its settings, as `conf get` gives them. Kv: peak voltage between two phases, as moteus_tool finds it."""
         kv = 30.0 / math.pi * math.cos(math.pi / 6.0) / self.torque_constant_Nm_A
         return {
-            "motor.Kv": f"{kv:.6f}", "motor_position.rotor_to_output_ratio": "1.000000",
-            "servo.timeout_mode": str(self.timeout_mode), "servo.default_timeout_s": f"{self.timeout_s:.6f}",
-            "servo.voltage_mode_control": "0", "servo.fixed_voltage_mode": "0",
+            "motor.Kv": f"{kv:.6f}",
+            "motor_position.rotor_to_output_ratio": "1.000000",
+            "servo.timeout_mode": str(self.timeout_mode),
+            "servo.default_timeout_s": f"{self.timeout_s:.6f}",
+            "servo.voltage_mode_control": "0",
+            "servo.fixed_voltage_mode": "0",
             "servo.default_velocity_limit": "nan",
             "servo.default_accel_limit": f"{self.accel_limit_turns_s2:.6f}",
             "servo.bemf_feedforward": f"{self.bemf_feedforward:.6f}",
-            "motor.poles": "14", "servo.max_current_A": f"{self.limit_A:.6f}",
+            "motor.poles": "14",
+            "servo.max_current_A": f"{self.limit_A:.6f}",
             "aux1.pins.0.mode": "14" if self.home_switch else "0",
-        }  # fmt: skip
+        }
 
 
 class MoteusMock:
@@ -148,9 +135,7 @@ class MoteusMock:
         self._expires_s = math.inf
         self._shift_turns = 0.0
         self._target = 0.0  # to which the position goes by the limit of acceleration
-        self._motor = ServoMotor(
-            self.setup.torque_constant_Nm_A, self._read_turns, speed_gain=TUNED_SPEED_GAIN
-        )
+        self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns, speed_gain=TUNED_SPEED_GAIN)
         self.settings = dict(self._written_settings)
         self.home_state = self.setup.home_state
         self.kept: dict[int, float] = dict.fromkeys(KEPT, 0)
@@ -207,10 +192,7 @@ class MoteusMock:
                 continue
             for register in range(first, first + count):
                 raw = struct.unpack_from(FORMATS[type_], payload, at)[0]
-                if (
-                    register in UUID_MASK
-                    and raw != self._registers()[register - UUID_MASK.start + UUID.start]
-                ):
+                if register in UUID_MASK and raw != self._registers()[register - UUID_MASK.start + UUID.start]:
                     return b""  # for another one
                 written[register] = _from_raw(register, type_, raw)
                 at += struct.calcsize(FORMATS[type_])
@@ -307,11 +289,7 @@ class MoteusMock:
             motor.engage()
             motor.goal_turns = motor.turns
         self.mode, self._command, self._began_mode_s = mode, command, now_s
-        if (
-            float(self.settings["servo.bemf_feedforward"])
-            and math.isinf(self._accel_turns_s2)
-            and mode == POSITION
-        ):
+        if float(self.settings["servo.bemf_feedforward"]) and math.isinf(self._accel_turns_s2) and mode == POSITION:
             self.mode, self.fault = FAULT, NO_ACCEL_LIMIT
         self._target = motor.goal_turns if math.isnan(command[0x020]) else command[0x020]
         if math.isinf(self._accel_turns_s2):
@@ -345,18 +323,41 @@ class MoteusMock:
         torque_Nm = self._current_A * setup.torque_constant_Nm_A
         off = (motor.turns - motor.goal_turns, motor.speed_turns_s - motor.goal_turns_s)
         return {
-            **self._command, **{shadow: self._command[register] for shadow, register in SHADOWS.items()}, **self.kept,
+            **self._command,
+            **{shadow: self._command[register] for shadow, register in SHADOWS.items()},
+            **self.kept,
             **dict.fromkeys((0x005, 0x006, 0x00A, *range(0x030, 0x035), 0x03A, 0x03D, 0x05F, 0x072, 0x074, 0x140, 0x141), 0),
             **dict.fromkeys((*range(0x052, 0x056), *range(0x060, 0x065), *range(0x068, 0x06D)), 0),
-            0x073: math.nan, 0x075: math.nan,
-            0x000: self.mode, 0x001: motor.turns, 0x002: motor.speed_turns_s, 0x003: torque_Nm, 0x004: self._current_A,
+            0x073: math.nan,
+            0x075: math.nan,
+            0x000: self.mode,
+            0x001: motor.turns,
+            0x002: motor.speed_turns_s,
+            0x003: torque_Nm,
+            0x004: self._current_A,
             0x007: self.output.value * self._current_A if self.output.kind == "voltage" else 0.0,
-            0x00B: int(self._is_there), 0x00C: self.home_state, 0x00D: self._supply_V, 0x00E: 35.0, 0x00F: self.fault,
-            0x038: motor.goal_turns, 0x039: motor.goal_turns_s, 0x03B: off[0], 0x03C: off[1], 0x050: motor.turns,
-            0x051: motor.speed_turns_s, 0x058: 3, 0x05E: int(self.is_home), 0x070: self.milliseconds, 0x100: 4,
-            0x101: setup.firmware, 0x102: 5, 0x110: setup.number, **{0x120 + k: word for k, word in enumerate(setup.serial)},
-            **{register: setup.serial[k % 3] + k for k, register in enumerate(UUID)}, 0x158: 1,
-        }  # fmt: skip
+            0x00B: int(self._is_there),
+            0x00C: self.home_state,
+            0x00D: self._supply_V,
+            0x00E: 35.0,
+            0x00F: self.fault,
+            0x038: motor.goal_turns,
+            0x039: motor.goal_turns_s,
+            0x03B: off[0],
+            0x03C: off[1],
+            0x050: motor.turns,
+            0x051: motor.speed_turns_s,
+            0x058: 3,
+            0x05E: int(self.is_home),
+            0x070: self.milliseconds,
+            0x100: 4,
+            0x101: setup.firmware,
+            0x102: 5,
+            0x110: setup.number,
+            **{0x120 + k: word for k, word in enumerate(setup.serial)},
+            **{register: setup.serial[k % 3] + k for k, register in enumerate(UUID)},
+            0x158: 1,
+        }
 
     # ---- control
 
@@ -405,9 +406,7 @@ class MoteusMock:
             case _ if mode == BRAKED:
                 return BRAKE
             case _ if mode == PWM:
-                return self._pulled(
-                    *_field(*(supply_V * command[register] for register in range(0x010, 0x013)))
-                )
+                return self._pulled(*_field(*(supply_V * command[register] for register in range(0x010, 0x013))))
             case _ if mode == VOLTAGE:
                 return self._pulled(*_field(*(command[register] for register in range(0x014, 0x017))))
             case _ if mode == VOLTAGE_FOC:

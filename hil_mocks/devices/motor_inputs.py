@@ -135,9 +135,7 @@ class MotorBoardHardware(ABC):
         """First-order power stage with the steady temperature rise R_th (R_bridge mean(i^2))."""
         setup = self.setup
         final_K = setup.thermal_K_W * setup.bridge_ohm * self._heat_A2s / self._heated_s
-        self._above_ambient_K += (final_K - self._above_ambient_K) * min(
-            1.0, self._heated_s / setup.thermal_time_s
-        )
+        self._above_ambient_K += (final_K - self._above_ambient_K) * min(1.0, self._heated_s / setup.thermal_time_s)
         self._whole_degC = round(self._temperature_degC)
         self._heat_A2s = self._heated_s = 0.0
 

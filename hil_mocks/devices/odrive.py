@@ -18,33 +18,19 @@ from hil_mocks.devices.servo_motor import TUNED_SPEED_GAIN, ServoMotor
 
 VERSION, HEARTBEAT, ESTOP, GET_ERROR, WRITE_SDO, READ_SDO, ADDRESS, STATE, ENCODER = 0, 1, 2, 3, 4, 5, 6, 7, 9
 SENSORLESS_ERROR = READ_SDO  # of firmware 0.5
-MODE, POSITION, VELOCITY, TORQUE, LIMITS, TOP_SPEED, RAMPS, INERTIA = (
-    0x0B,
-    0x0C,
-    0x0D,
-    0x0E,
-    0x0F,
-    0x11,
-    0x12,
-    0x13,
-)
-IQ, TEMPERATURE, REBOOT, BUS, CLEAR, ABSOLUTE, POSITION_GAIN, VELOCITY_GAINS = (
-    0x14,
-    0x15,
-    0x16,
-    0x17,
-    0x18,
-    0x19,
-    0x1A,
-    0x1B,
-)
+MODE, POSITION, VELOCITY, TORQUE, LIMITS, TOP_SPEED, RAMPS, INERTIA = (0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x13)
+IQ, TEMPERATURE, REBOOT, BUS, CLEAR, ABSOLUTE, POSITION_GAIN, VELOCITY_GAINS = (0x14, 0x15, 0x16, 0x17, 0x18, 0x19, 0x1A, 0x1B)
 TORQUES, POWERS, UPDATE = 0x1C, 0x1D, 0x1F
 COMMANDS = {  # layouts of what the host sends
-    WRITE_SDO: "<BHx4s", ADDRESS: "<B6s", STATE: "<I", MODE: "<II", POSITION: "<fhh",
+    WRITE_SDO: "<BHx4s",
+    ADDRESS: "<B6s",
+    STATE: "<I",
+    MODE: "<II",
+    POSITION: "<fhh",
     **dict.fromkeys((VELOCITY, LIMITS, RAMPS, VELOCITY_GAINS), "<ff"),
     **dict.fromkeys((TORQUE, TOP_SPEED, INERTIA, ABSOLUTE, POSITION_GAIN), "<f"),
     **dict.fromkeys((ESTOP, CLEAR, REBOOT, UPDATE), "<"),
-}  # fmt: skip
+}
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
 TRAJECTORY = 5  # an input mode
@@ -73,8 +59,13 @@ class OdriveSetup:
     is_firmware_5: bool = False
     serial: bytes = b"ODRV01"
     periods_s: tuple[tuple[int, float], ...] = (
-        (HEARTBEAT, 0.01), (ENCODER, 0.004), (IQ, 0.004), (BUS, 0.01), (TEMPERATURE, 0.1), (GET_ERROR, 0.1)
-    )  # fmt: skip
+        (HEARTBEAT, 0.01),
+        (ENCODER, 0.004),
+        (IQ, 0.004),
+        (BUS, 0.01),
+        (TEMPERATURE, 0.1),
+        (GET_ERROR, 0.1),
+    )
 
 
 class OdriveMock:
@@ -103,9 +94,7 @@ class OdriveMock:
         self.limit_A, self._limit_turns_s = self.setup.limit_A, math.inf
         self._torque_Nm = self._current_A = 0.0
         self._supply_V = 24.0
-        self._motor = ServoMotor(
-            self.setup.torque_constant_Nm_A, self._read_turns, speed_gain=TUNED_SPEED_GAIN
-        )
+        self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns, speed_gain=TUNED_SPEED_GAIN)
         self._arms_at_s = math.inf
         self._heard_s = start_s
         self._boots_until_s = -math.inf if now_s is None else now_s + BOOT_S
@@ -154,9 +143,7 @@ class OdriveMock:
                 is_write, endpoint, value = given
                 if is_write:
                     self.endpoints[endpoint] = value
-                self._send(
-                    READ_SDO, struct.pack("<BHx4s", 0, endpoint, self.endpoints.get(endpoint, bytes(4)))
-                )
+                self._send(READ_SDO, struct.pack("<BHx4s", 0, endpoint, self.endpoints.get(endpoint, bytes(4))))
             case _ if command == ADDRESS and given[1] == self.setup.serial:
                 self.node = given[0]
             case _ if command == ESTOP:
@@ -240,10 +227,7 @@ class OdriveMock:
             self._disarm(WATCHDOG)
         if cause := self._cause or (SUPPLY_LOW if supply_V < LOWEST_SUPPLY_V else 0):
             self._disarm(cause)
-        if (
-            self.state == CLOSED_LOOP
-            and abs(self._motor.speed_turns_s) > SPEED_TOLERANCE * self._limit_turns_s
-        ):
+        if self.state == CLOSED_LOOP and abs(self._motor.speed_turns_s) > SPEED_TOLERANCE * self._limit_turns_s:
             self._disarm(TOO_FAST)
         self.output = self._driven(supply_V) if self.state == CLOSED_LOOP else OPEN
         for command, period_s in self.setup.periods_s:

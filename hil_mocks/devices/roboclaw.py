@@ -30,31 +30,45 @@ NO_OBJECT = 0x0602_0000  # CANopen's abort code
 
 # Settings: the command that reads them; those that set them in this order, with their bytes.
 SETTINGS = {
-    15: {14: 1}, 55: {28: 16}, 56: {29: 16}, 59: {57: 5}, 60: {58: 4}, 63: {61: 28}, 64: {62: 28}, 72: {70: 2, 71: 2},
-    75: {74: 5}, 77: {76: 24}, 81: {68: 8, 69: 8}, 91: {92: 1, 93: 1}, 97: {96: 37}, 99: {98: 2}, 104: {102: 10},
-    107: {105: 4, 106: 4}, 110: {109: 4}, 113: {112: 4}, 116: {115: 2}, 130: {128: 8}, 131: {129: 8}, 135: {133: 8},
-    136: {134: 8}, 140: {139: 3}, 142: {141: 2}, 149: {148: 2}, 151: {150: 1}, 161: {160: 2}, 202: {201: 1}, 247: {246: 4},
-}  # fmt: skip
-LISTS = {
-    138: (137, 2, 1),
-    144: (143, 8, 52),
-    146: (145, 3, 9),
-}  # read as their number and rows; set by the row's index
+    15: {14: 1},
+    55: {28: 16},
+    56: {29: 16},
+    59: {57: 5},
+    60: {58: 4},
+    63: {61: 28},
+    64: {62: 28},
+    72: {70: 2, 71: 2},
+    75: {74: 5},
+    77: {76: 24},
+    81: {68: 8, 69: 8},
+    91: {92: 1, 93: 1},
+    97: {96: 37},
+    99: {98: 2},
+    104: {102: 10},
+    107: {105: 4, 106: 4},
+    110: {109: 4},
+    113: {112: 4},
+    116: {115: 2},
+    130: {128: 8},
+    131: {129: 8},
+    135: {133: 8},
+    136: {134: 8},
+    140: {139: 3},
+    142: {141: 2},
+    149: {148: 2},
+    151: {150: 1},
+    161: {160: 2},
+    202: {201: 1},
+    247: {246: 4},
+}
+LISTS = {138: (137, 2, 1), 144: (143, 8, 52), 146: (145, 3, 9)}  # read as their number and rows; set by the row's index
 PLACES = {  # of what a command sets: the setting, from where, bytes
     write: (read, end - size, size)
     for read, writes in SETTINGS.items()
     for (write, size), end in zip(writes.items(), accumulate(writes.values()), strict=True)
 }
 GAINS = (28, 29, 61, 62)  # set as D, P, I, read as P, I, D
-TIMEOUT, VOLTAGES, VELOCITY_GAINS, POSITION_GAINS, DEFAULT_SPEEDS, RATES, CURRENT_LIMITS = (
-    15,
-    59,
-    55,
-    63,
-    72,
-    81,
-    135,
-)
+TIMEOUT, VOLTAGES, VELOCITY_GAINS, POSITION_GAINS, DEFAULT_SPEEDS, RATES, CURRENT_LIMITS = (15, 59, 55, 63, 72, 81, 135)
 # Bits of a mode of S4 and S5, by the table of command 74: a switch that stops its motor going forward, and in reverse. Of those
 # with HOME_PIN the manual says besides that the count becomes 0 (docs/roboclaw.md).
 SWITCH_PIN, FORWARD_PIN, REVERSE_PIN, HOME_PIN = 0x02, 0x10, 0x20, 0x40
@@ -75,15 +89,42 @@ DELIVERED = {
 # Movements: what each command carries of motor 0, of motor 1 and of both (2), in its order: duty u, percent of the
 # way %, speed v, acceleration a, deceleration f, distance d, position p, whether it goes before what waits b.
 MOVEMENTS = {
-    32: "0u", 33: "1u", 34: "0u1u", 35: "0v", 36: "1v", 37: "0v1v", 38: "0av", 39: "1av", 40: "2a0v1v", 41: "0vdb", 42: "1vdb",
-    43: "0vd1vd2b", 44: "0avdb", 45: "1avdb", 46: "2a0vd1vd2b", 50: "0av1av", 51: "0avd1avd2b", 52: "0ua", 53: "1ua",
-    54: "0ua1ua", 65: "0avfpb", 66: "1avfpb", 67: "0avfp1avfp2b", 119: "0pb", 120: "1pb", 121: "0p1p2b", 122: "0vpb",
-    123: "1vpb", 124: "0vp1vp2b", 125: "0%b", 126: "1%b", 127: "0%1%2b",
-}  # fmt: skip
+    32: "0u",
+    33: "1u",
+    34: "0u1u",
+    35: "0v",
+    36: "1v",
+    37: "0v1v",
+    38: "0av",
+    39: "1av",
+    40: "2a0v1v",
+    41: "0vdb",
+    42: "1vdb",
+    43: "0vd1vd2b",
+    44: "0avdb",
+    45: "1avdb",
+    46: "2a0vd1vd2b",
+    50: "0av1av",
+    51: "0avd1avd2b",
+    52: "0ua",
+    53: "1ua",
+    54: "0ua1ua",
+    65: "0avfpb",
+    66: "1avfpb",
+    67: "0avfp1avfp2b",
+    119: "0pb",
+    120: "1pb",
+    121: "0p1p2b",
+    122: "0vpb",
+    123: "1vpb",
+    124: "0vp1vp2b",
+    125: "0%b",
+    126: "1%b",
+    127: "0%1%2b",
+}
 TYPES = dict(zip("u%vafdpb", "hhiIIIiB", strict=True))
 FORMATS = {
-    command: ">" + "".join(TYPES[letter] for letter in carried if letter in TYPES)
-    for command, carried in MOVEMENTS.items()
+    command: ">" + "".join(TYPES[letter] for letter in carried if letter in TYPES) for command, carried in MOVEMENTS.items()
 }
 # What is set or done besides; all commands that are not written read.
 WRITES = (
@@ -121,9 +162,7 @@ LENGTHS = {command: 2 + ASKED.get(command, 0) for command in (21, 182, *ASKED, *
 }
 # The manual of 2017 ends earlier, and some of its packets do.
 OLDER = {*range(14, 70), *range(74, 84), *range(90, 96), 98, 99, *range(133, 137), 148, 149}
-OLDER_LENGTHS = {command: length for command, length in LENGTHS.items() if command in OLDER} | {
-    57: 8, 68: 8, 69: 8, 74: 7, 94: 4,
-}  # fmt: skip
+OLDER_LENGTHS = {command: length for command, length in LENGTHS.items() if command in OLDER} | {57: 8, 68: 8, 69: 8, 74: 7, 94: 4}
 OLDER_ANSWERS = {59: 4, 75: 3}
 
 
@@ -150,15 +189,13 @@ class RoboClawMock:
 
     def __init__(
         self, address: int, read_shaft: Callable[[int], int], has_ctrl_pins: bool = True, has_short_status: bool = False
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`has_ctrl_pins`: its firmware is today's, and not that of the manual of 2017. `has_short_status`: it is older still."""
         self.address, self._has_short_status = address, has_short_status
         self.is_older = not has_ctrl_pins
         self.saved = dict(DELIVERED)
         self.eeprom: dict[int, int] = {}
-        self.objects: dict[
-            bytes, tuple[int, int]
-        ] = {}  # of CANopen, by node, index and subindex: value, size
+        self.objects: dict[bytes, tuple[int, int]] = {}  # of CANopen, by node, index and subindex: value, size
         self.can_sent: list[bytes] = []
         self.can_heard: list[bytes] = []
         self.forced_errors = 0  # persistent causes, set by a fault of the scenario
@@ -210,9 +247,7 @@ class RoboClawMock:
     @property
     def current_limits_A(self) -> tuple[float, float]:
         """Of the motors."""
-        first, second = (
-            int.from_bytes(self.settings[CURRENT_LIMITS + channel][:4], "big") for channel in (0, 1)
-        )
+        first, second = (int.from_bytes(self.settings[CURRENT_LIMITS + channel][:4], "big") for channel in (0, 1))
         return first * 0.01, second * 0.01
 
     @property
@@ -235,19 +270,36 @@ class RoboClawMock:
     def _short_status(self) -> int:
         """The 16 bits of older firmware, of what this board can have."""
         old = {
-            E_STOP: 0x4, OVER_HEATED: 0x8, VOLTAGE_HIGH: 0x20, **dict(zip(DRIVER_FAULT, (0x100, 0x200), strict=True)),
-            **dict(zip(OVER_CURRENT_WARNING, (0x1, 0x2), strict=True)), VOLTAGE_LOW: 0x800,
+            E_STOP: 0x4,
+            OVER_HEATED: 0x8,
+            VOLTAGE_HIGH: 0x20,
+            **dict(zip(DRIVER_FAULT, (0x100, 0x200), strict=True)),
+            **dict(zip(OVER_CURRENT_WARNING, (0x1, 0x2), strict=True)),
+            VOLTAGE_LOW: 0x800,
             **dict(zip(PIN_TRIGGERED, (0x4000, 0x8000), strict=True)),
-        }  # fmt: skip
+        }
         return sum(short for bit, short in old.items() if self.status & bit)
 
     @property
     def everything(self) -> tuple[int, ...]:
         """Command 73."""
         return (
-            round(self._ticked_s * 1e3) & 0xFFFF_FFFF, self.status, TENTHS_DEGC, TENTHS_DEGC, self.tenths_V, LOGIC_TENTHS_V,
-            *self.duties, *self.drawn, self.count(0), self.count(1), 0, 0, *self.speeds, *self.errors("v"), *self.errors("p"),
-        )  # fmt: skip
+            round(self._ticked_s * 1e3) & 0xFFFF_FFFF,
+            self.status,
+            TENTHS_DEGC,
+            TENTHS_DEGC,
+            self.tenths_V,
+            LOGIC_TENTHS_V,
+            *self.duties,
+            *self.drawn,
+            self.count(0),
+            self.count(1),
+            0,
+            0,
+            *self.speeds,
+            *self.errors("v"),
+            *self.errors("p"),
+        )
 
     def waiting(self, channel: int) -> int:
         """How many movements wait behind the one that lasts; 0x80: none lasts."""
@@ -270,10 +322,7 @@ class RoboClawMock:
         if timeout_s and now_s - self._obeyed_s > timeout_s:
             self.movements, self.queues = [{"u": 0}, {"u": 0}], [[], []]
         before, self._shafts = self._shafts, [self._shaft(channel) for channel in (0, 1)]
-        rates = [
-            (now - then) / step_s if step_s > 0.0 else 0.0
-            for now, then in zip(self._shafts, before, strict=True)
-        ]
+        rates = [(now - then) / step_s if step_s > 0.0 else 0.0 for now, then in zip(self._shafts, before, strict=True)]
         self.speeds = (round(rates[0]), round(rates[1]))
         is_stopped = bool(self.status & ERRORS)
         for channel in (0, 1):

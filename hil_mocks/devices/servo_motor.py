@@ -22,11 +22,7 @@ class ServoMotor:
     """
 
     def __init__(
-        self,
-        volts_per_rad_s: float,
-        read_turns: Callable[[], float],
-        seen_turns: float = 0.0,
-        speed_gain: float = SPEED_GAIN,
+        self, volts_per_rad_s: float, read_turns: Callable[[], float], seen_turns: float = 0.0, speed_gain: float = SPEED_GAIN
     ) -> None:
         self._volts_per_turn_s = volts_per_rad_s * 6.283185307179586
         self._read_turns, self._seen_turns = read_turns, seen_turns
@@ -49,9 +45,7 @@ class ServoMotor:
         """The torque was switched on: the loop begins anew."""
         self._integral_V = self.ramp_turns_s = 0.0
 
-    def follow_ramp(
-        self, target_turns: float, faster: float, slower: float, top_turns_s: float = math.inf
-    ) -> None:
+    def follow_ramp(self, target_turns: float, faster: float, slower: float, top_turns_s: float = math.inf) -> None:
         """The goal goes on to a target: faster and slower by so many turns/s², at most at `top_turns_s`."""
         way = target_turns - self.goal_turns
         coming_turns_s = min(math.sqrt(2.0 * slower * abs(way)), abs(way) / self._step_s, top_turns_s)

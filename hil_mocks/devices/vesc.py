@@ -104,9 +104,7 @@ class VescMock:
         """Up to the application as firmware 6.0 packs it; what follows is left at 0."""
         setup = self.setup
         rates = struct.pack(">HHBBB", round(setup.rate_1_Hz), round(setup.rate_2_Hz), 0x3F, 0, 3)
-        head = struct.pack(
-            ">IBIf", 486554156, setup.number, round(1e3 * setup.timeout_s), setup.timeout_brake_A
-        )
+        head = struct.pack(">IBIf", 486554156, setup.number, round(1e3 * setup.timeout_s), setup.timeout_brake_A)
         return (head + rates + bytes(13) + bytes((setup.application,))).ljust(490, b"\0")
 
     def _send_buffer(self, asker: int, data: bytes) -> None:
@@ -130,9 +128,7 @@ class VescMock:
         if now_s >= self._next_s:
             self._next_s += 1.0 / self.setup.rate_1_Hz
             sensed = current_A * math.copysign(1.0, duty)
-            self._send(
-                STATUS, struct.pack(">ihh", round(60 * self._speed), round(sensed * 10), round(duty * 1000))
-            )
+            self._send(STATUS, struct.pack(">ihh", round(60 * self._speed), round(sensed * 10), round(duty * 1000)))
             angle = round(self._read_turns() * TURN) % TURN
             self._send(STATUS_4, struct.pack(">hhhh", 350, 300, round(abs(duty * current_A) * 10), angle))
             self._send(STATUS_5, struct.pack(">ihh", 0, round(supply_V * 10), 0))

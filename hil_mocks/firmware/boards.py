@@ -73,11 +73,7 @@ class _EncoderSetup(ctypes.Structure):
 class _EncoderInputs(ctypes.Structure):
     """aw_encoder_inputs_t."""
 
-    _fields_ = (
-        ("time_us", ctypes.c_uint32),
-        ("counter", ctypes.c_uint32 * _CHANNELS),
-        ("flags", ctypes.c_uint8 * _CHANNELS),
-    )
+    _fields_ = (("time_us", ctypes.c_uint32), ("counter", ctypes.c_uint32 * _CHANNELS), ("flags", ctypes.c_uint8 * _CHANNELS))
 
 
 class EncoderBoardFirmware(EncoderBoardHardware):
@@ -93,12 +89,7 @@ class EncoderBoardFirmware(EncoderBoardHardware):
         self.is_line_blocked = False  # nothing leaves the board: frames wait in its queue
         channels = len(setup.counts_per_turn)
         given = _EncoderSetup(
-            setup.serial_number,
-            setup.baud,
-            (*setup.counts_per_turn,),
-            setup.firmware,
-            channels,
-            setup.encoder_bits,
+            setup.serial_number, setup.baud, (*setup.counts_per_turn,), setup.firmware, channels, setup.encoder_bits
         )
         self._code.aw_encoder_init(self._board, ctypes.byref(given), self._inputs(0, self._latched()))
         self._take(0, now_s)
@@ -107,9 +98,7 @@ class EncoderBoardFirmware(EncoderBoardHardware):
         """Process bytes from the host, which take effect at once."""
         now_us = self._board_us(now_s)
         inputs = self._inputs(now_us, self._latched())
-        for part in re.findall(
-            b"[^\0]*\0|[^\0]+", received
-        ):  # the line carries answers away between two frames
+        for part in re.findall(b"[^\0]*\0|[^\0]+", received):  # the line carries answers away between two frames
             self._code.aw_encoder_receive(self._board, part, len(part), inputs)
             self._take(now_us, now_s)
 
@@ -242,11 +231,7 @@ class MotorBoardFirmware(motor_inputs.MotorBoardHardware):
 
     def __init__(self, setup: motor_inputs.MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
         self._code = library()
-        for what, mirror in (
-            ("motor_setup", _MotorSetup),
-            ("motor_inputs", _MotorInputs),
-            ("can_frame", _CanFrame),
-        ):
+        for what, mirror in (("motor_setup", _MotorSetup), ("motor_inputs", _MotorInputs), ("can_frame", _CanFrame)):
             require_size(what, mirror)
         self._board = ctypes.create_string_buffer(size_of("motor_board"))
         self.pins: _Pins = _Pins(self._board, setup.digital_pins)

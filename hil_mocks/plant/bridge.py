@@ -48,9 +48,7 @@ def windings_of(arm: ArmParts, effects: PlantEffects) -> list[Winding]:
 class Bridges:
     """All bridges of an arm. Commands are held until the next; `settle` applies the limits once a tick."""
 
-    def __init__(
-        self, model: Any, state: Any, windings: Sequence[Winding], index: Sequence[int], supply_ohm: float
-    ) -> None:
+    def __init__(self, model: Any, state: Any, windings: Sequence[Winding], index: Sequence[int], supply_ohm: float) -> None:
         self._gain, self._dynamics = model.actuator_gainprm, model.actuator_dynprm
         self._ctrl, self._act, self._velocity = state.ctrl, state.act, state.actuator_velocity
         self._windings, self._index = tuple(windings), tuple(index)
@@ -61,9 +59,7 @@ class Bridges:
         self._mode, self._command = [OPEN] * count, [0.0] * count
         self._limit_A = [1e9] * count
         self._set_as = [-1] * count
-        self._ctrl_V = [
-            math.nan
-        ] * count  # as it was set last: to write into MuJoCo's array costs more than to compare
+        self._ctrl_V = [math.nan] * count  # as it was set last: to write into MuJoCo's array costs more than to compare
         self.supply_V = [winding.supply_V for winding in self._windings]
         self.is_clamped = [False] * count
         self._no_load_V = [winding.supply_V for winding in self._windings]
@@ -88,18 +84,9 @@ class Bridges:
         if not is_stiff:
             self._sag()
         bridges = zip(
-            speeds_rad_s,
-            self._set_as,
-            self._mode,
-            self._command,
-            self._constants,
-            self._limit_A,
-            self.supply_V,
-            strict=True,
+            speeds_rad_s, self._set_as, self._mode, self._command, self._constants, self._limit_A, self.supply_V, strict=True
         )
-        for j, (speed, set_as, mode, voltage, (K, resistance_ohm, nominal_V), limit_A, supply_V) in enumerate(
-            bridges
-        ):
+        for j, (speed, set_as, mode, voltage, (K, resistance_ohm, nominal_V), limit_A, supply_V) in enumerate(bridges):
             # The usual case: same mode and no limit in reach.
             if (
                 mode == set_as == VOLTAGE
@@ -128,9 +115,7 @@ class Bridges:
 
     def _sag(self) -> None:
         """Supply minus the drop over the shared resistance; a bridge draws duty x motor current."""
-        drawn_A = sum(
-            self.voltage_V(j) / w.supply_V * self.current_A(j) for j, w in enumerate(self._windings)
-        )
+        drawn_A = sum(self.voltage_V(j) / w.supply_V * self.current_A(j) for j, w in enumerate(self._windings))
         for j in range(len(self._windings)):
             self.supply_V[j] = max(0.0, self._no_load_V[j] - self._supply_ohm * drawn_A)
 
@@ -174,7 +159,5 @@ class Bridges:
     def _set(self, j: int, mode: int, resistance_ohm: float, winding: Winding) -> None:
         k = self._index[j]
         self._gain[k, 0] = resistance_ohm
-        self._dynamics[k, 0] = (
-            CURRENT_LAG_S if mode == CURRENT else winding.inductance_H / winding.resistance_ohm
-        )
+        self._dynamics[k, 0] = CURRENT_LAG_S if mode == CURRENT else winding.inductance_H / winding.resistance_ohm
         self._set_as[j] = mode

@@ -15,16 +15,7 @@ import numpy as np
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.parts import ArmParts, LinkFrame, Matrix, true_frame
-from hil_mocks.plant.transmission import (
-    HARD,
-    LOSS_S,
-    Beam,
-    Transmissions,
-    beam,
-    ends_of,
-    remaining_inertia,
-    split_mass,
-)
+from hil_mocks.plant.transmission import HARD, LOSS_S, Beam, Transmissions, beam, ends_of, remaining_inertia, split_mass
 
 _FASTEST = 2.0  # steps per radian of a bending link's vibration: 1000 rad/s at 0.5 ms
 _LEAST_KG = 1e-6  # of half a link without mass
@@ -34,9 +25,7 @@ _LEAST_KG = 1e-6  # of half a link without mass
 class PlantOptions:
     """Options of the simulation, independent of the arm."""
 
-    timestep_s: float = (
-        5e-4  # a tenth of the motors' mechanical time constant; 0.25 ms moves a path by 3e-6 rad
-    )
+    timestep_s: float = 5e-4  # a tenth of the motors' mechanical time constant; 0.25 ms moves a path by 3e-6 rad
     link_share: float = 0.5  # of a joint's friction that acts on the link side of the gear
     end_stop_margin_rad: float = 0.05  # from a joint limit to the hard stop behind it
     hand_speed_m_s: float = 0.3
@@ -90,9 +79,7 @@ class PlantModel:
     motor_hinge: tuple[int, ...]
     link_hinge: tuple[int, ...]
     bridge: tuple[int, ...]  # actuator, control and current of a joint all have this index
-    friction_dofs: tuple[
-        tuple[tuple[int, float], ...], ...
-    ]  # per joint (dof, share) with load-dependent friction
+    friction_dofs: tuple[tuple[tuple[int, float], ...], ...]  # per joint (dof, share) with load-dependent friction
     bristles: tuple[tuple[tuple[int, float], ...], ...]  # per joint (actuator, share) of its LuGre elements
     tip_site: int
     payload_body: int
@@ -140,9 +127,7 @@ def _world(builders: Sequence[_Builder]) -> Any:
         spec, at = builder.specified(), builder.standing
         _set_options(world, builders[0].timestep_s, upright)
         _set_options(spec, builders[0].timestep_s, upright)
-        world.attach(
-            spec, prefix=at.prefix, frame=world.worldbody.add_frame(pos=at.origin_m, quat=at.orientation)
-        )
+        world.attach(spec, prefix=at.prefix, frame=world.worldbody.add_frame(pos=at.origin_m, quat=at.orientation))
     return world
 
 
@@ -156,9 +141,7 @@ def _set_options(spec: Any, timestep_s: float, gravity_m_s2: Any) -> None:
     option.gravity = gravity_m_s2
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     off = mujoco.mjtDisableBit
-    option.disableflags = int(
-        off.mjDSBL_CONTACT | off.mjDSBL_AUTORESET | off.mjDSBL_SENSOR | off.mjDSBL_ISLAND
-    )
+    option.disableflags = int(off.mjDSBL_CONTACT | off.mjDSBL_AUTORESET | off.mjDSBL_SENSOR | off.mjDSBL_ISLAND)
 
 
 class _Builder:
@@ -188,13 +171,9 @@ class _Builder:
     def _links(self) -> None:
         parent, joint = self._spec.worldbody, 0
         frames = [self._true_frame(i) for i in range(len(self._arm.links))]
-        shift_m = np.zeros(
-            3
-        )  # of the parent's frame from that of its link: half a beam, where the link bends
+        shift_m = np.zeros(3)  # of the parent's frame from that of its link: half a beam, where the link bends
         for i, (link, frame) in enumerate(zip(self._arm.links, frames, strict=True)):
-            body = parent.add_body(
-                name=f"link{i + 1}", pos=frame.position_m - shift_m, quat=_quaternion(frame.rotation)
-            )
+            body = parent.add_body(name=f"link{i + 1}", pos=frame.position_m - shift_m, quat=_quaternion(frame.rotation))
             if link.is_revolute:
                 self._hinge(body, frame, joint)
                 joint += 1
@@ -212,10 +191,7 @@ class _Builder:
         tool = self._arm.tool
         self._end_shift_m = shift_m
         parent.add_site(name="tip", pos=tool.tip_m - shift_m)
-        for name, place_m, mass_kg in (
-            ("payload", tool.tip_m, self._effects.payload_kg),
-            ("tool", tool.com_m, tool.mass_kg),
-        ):
+        for name, place_m, mass_kg in (("payload", tool.tip_m, self._effects.payload_kg), ("tool", tool.com_m, tool.mass_kg)):
             load = parent.add_body(name=name, pos=place_m - shift_m, explicitinertial=True)
             load.mass, load.inertia = mass_kg, [0.0, 0.0, 0.0]
             load.ipos = [0.0, 0.0, 0.0]  # if unset, it would add the body's own pose again
@@ -264,9 +240,7 @@ class _Builder:
 
     def _hinge(self, body: Any, frame: LinkFrame, j: int) -> None:
         drive = self._arm.drives[j]
-        hinge = body.add_joint(
-            name=f"q{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=frame.axis, pos=frame.anchor_m
-        )
+        hinge = body.add_joint(name=f"q{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=frame.axis, pos=frame.anchor_m)
         hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         hinge.range = [drive.joint_lower_rad - self._margin_rad, drive.joint_upper_rad + self._margin_rad]
         hinge.solref_limit, hinge.solimp_limit = [4.0 * self.timestep_s, 1.0], HARD
@@ -275,12 +249,7 @@ class _Builder:
         hand = self._spec.worldbody.add_body(name="hand", mocap=True)
         hand.add_site(name="hand")
         grip = self._spec.add_equality(
-            name="grip",
-            type=mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1="tip",
-            name2="hand",
-            active=False,
+            name="grip", type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE, name1="tip", name2="hand", active=False
         )
         grip.solref, grip.solimp = [2e-3, 1.0], HARD
 
@@ -289,15 +258,11 @@ class _Builder:
         joints, prefix = range(len(self._arm.drives)), self.standing.prefix
         motor = tuple(int(model.joint(prefix + self._drives.motor_hinge(j)).qposadr[0]) for j in joints)
         rows = tuple(
-            tuple(
-                (int(model.joint(prefix + name).dofadr[0]), share)
-                for name, share in self._drives.friction_shares(j)
-            )
+            tuple((int(model.joint(prefix + name).dofadr[0]), share) for name, share in self._drives.friction_shares(j))
             for j in joints
         )
         bristles = tuple(
-            tuple((int(model.actuator(prefix + name).id), share) for name, share in self._drives.bristles[j])
-            for j in joints
+            tuple((int(model.actuator(prefix + name).id), share) for name, share in self._drives.bristles[j]) for j in joints
         )
         return PlantModel(
             model=model,
@@ -325,6 +290,4 @@ def _quaternion(rotation: Matrix) -> Matrix:
 
 def to_build(arm: ArmParts, effects: PlantEffects, options: PlantOptions, standing: Standing) -> ArmToBuild:
     """Return what `build` makes of an arm with these options."""
-    return ArmToBuild(
-        arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad, standing
-    )
+    return ArmToBuild(arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad, standing)

@@ -133,15 +133,7 @@ _OF_ARM: dict[str, dict[str, str]] = {
 }
 _OPTIONAL = {"damping_Nm_s_rad"}
 _POSITIVE = {"EI_Nm2", "stiffness_Nm_rad", "time_constant_s", "speed_rad_s", "order"}
-_NOT_NEGATIVE = {
-    "width_rad",
-    "torque_Nm",
-    "coefficient_Nm_s_rad",
-    "fraction",
-    "amplitude_Nm",
-    "delay_s",
-    "resistance_ohm",
-}
+_NOT_NEGATIVE = {"width_rad", "torque_Nm", "coefficient_Nm_s_rad", "fraction", "amplitude_Nm", "delay_s", "resistance_ohm"}
 _BASE_FRAME = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 KNOWN = (*_OF_JOINT, *_OF_ARM, "link_geometry", "link_inertia", "link_flexure", "base_frame")
 
@@ -173,9 +165,7 @@ def _add(found: PlantEffects, entry: EffectEntry, joints: int, links: int, where
     if name == "link_inertia":
         return _add_inertia(found, entry, links, where)
     if name == "link_geometry":
-        return replace(
-            found, dh_deviation={**found.dh_deviation, **deviations(entry.parameters, links, where)}
-        )
+        return replace(found, dh_deviation={**found.dh_deviation, **deviations(entry.parameters, links, where)})
     if name == "link_flexure":
         _check_index(entry.joint, links, "link", where)
         (EI_Nm2,) = _renamed(entry, {"EI_Nm2": "EI_Nm2"}, where).values()
@@ -225,18 +215,14 @@ def _checked(key: str, value: float, where: str) -> float:
     if not math.isfinite(value):
         raise ScenarioError(f'{where}: parameter "{key}" must be finite, got {value}.')
     if (key in _POSITIVE and value <= 0.0) or (key in _NOT_NEGATIVE and value < 0.0):
-        raise ScenarioError(
-            f'{where}: parameter "{key}" must be positive, or 0 where allowed, got {value:g}.'
-        )
+        raise ScenarioError(f'{where}: parameter "{key}" must be positive, or 0 where allowed, got {value:g}.')
     return float(value)
 
 
 def _add_inertia(found: PlantEffects, entry: EffectEntry, links: int, where: str) -> PlantEffects:
     _check_index(entry.joint, links, "link", where)
     if not entry.parameters or not set(entry.parameters) <= {"mass_kg", "inertia_kg_m2"}:
-        raise ScenarioError(
-            f"{where}: expected mass_kg or inertia_kg_m2, got {', '.join(entry.parameters) or 'nothing'}."
-        )
+        raise ScenarioError(f"{where}: expected mass_kg or inertia_kg_m2, got {', '.join(entry.parameters) or 'nothing'}.")
     at = entry.joint - 1
     mass, inertia = dict(found.link_mass_kg), dict(found.link_inertia_kg_m2)
     mass[at] = float(entry.parameters.get("mass_kg", 0.0))
@@ -246,14 +232,8 @@ def _add_inertia(found: PlantEffects, entry: EffectEntry, links: int, where: str
 
 def deviations(values: Mapping[str, float], links: int, where: str) -> dict[tuple[int, str], float]:
     """`link{i}_d_m`, `link{i}_theta_rad`, `link{i}_L_m`, `link{i}_alpha_rad` as {(0-based link, DH key): value}."""
-    names = {
-        f"link{i + 1}_{key}": (i, key)
-        for i in range(links)
-        for key in ("d_m", "theta_rad", "L_m", "alpha_rad")
-    }
+    names = {f"link{i + 1}_{key}": (i, key) for i in range(links) for key in ("d_m", "theta_rad", "L_m", "alpha_rad")}
     for name in values:
         if name not in names:
-            raise ScenarioError(
-                f'{where}: unknown DH deviation "{name}"; expected link1_d_m to link{links}_alpha_rad.'
-            )
+            raise ScenarioError(f'{where}: unknown DH deviation "{name}"; expected link1_d_m to link{links}_alpha_rad.')
     return {names[name]: float(value) for name, value in values.items()}

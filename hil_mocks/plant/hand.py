@@ -22,9 +22,7 @@ _CANNOT_M = 1e-3
 class Hand:
     """A mocap body that a connect constraint ties to the tip. Moves once a tick, never faster than `speed_m_s`."""
 
-    def __init__(
-        self, at: PlantModel, state: Any, speed_m_s: float, noise_m: float, seed: int, base_pose: BasePose
-    ) -> None:
+    def __init__(self, at: PlantModel, state: Any, speed_m_s: float, noise_m: float, seed: int, base_pose: BasePose) -> None:
         self._base_pose, self._standing = base_pose, at.standing
         self._data, self._tip_site, self._grip, self._mocap = state, at.tip_site, at.grip, at.mocap
         self._model = at.model
@@ -41,9 +39,7 @@ class Hand:
         x, y, z = (float(value) + self._noise() for value in self._base_pose.in_base(point_m))
         x, y, z = self._standing.in_world((x, y, z))
         if not all(map(math.isfinite, (x, y, z))):
-            raise UnreachableError(
-                f"hand: cannot seat the tip at {tuple(point_m)}: the coordinates are not finite."
-            )
+            raise UnreachableError(f"hand: cannot seat the tip at {tuple(point_m)}: the coordinates are not finite.")
         mujoco.mj_kinematics(self._model, self._data)
         here = self._data.site_xpos[self._tip_site]
         self._start, self._target = (float(here[0]), float(here[1]), float(here[2])), (x, y, z)
@@ -80,9 +76,7 @@ class Hand:
             self._arrive()
             return
         blend = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        self._data.mocap_pos[self._mocap] = [
-            a + (b - a) * blend for a, b in zip(self._start, self._target, strict=True)
-        ]
+        self._data.mocap_pos[self._mocap] = [a + (b - a) * blend for a, b in zip(self._start, self._target, strict=True)]
 
     def _arrive(self) -> None:
         if self.residual_m() < _CANNOT_M:
@@ -92,9 +86,7 @@ class Hand:
             self.let_go()
             place = ", ".join(f"{value:.3f}" for value in self._outside(self._target))
             self.state = "cannot reach"
-            self.problem = (
-                f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was released."
-            )
+            self.problem = f"hand: the arm cannot reach ({place}) m: {off_mm:.1f} mm short; the tip was released."
 
     def _noise(self) -> float:
         return self._random.gauss(0.0, self._noise_m) if self._noise_m > 0.0 else 0.0

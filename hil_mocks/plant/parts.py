@@ -154,9 +154,7 @@ def parts_of(arm: Arm) -> ArmParts:
 
 def tool_parts(tool: Tool) -> PlantTool:
     """The parts of a [tool]; its mass is at the tip if its centre is not given."""
-    return PlantTool(
-        _vector(tool.position_m), tool.mass_kg, _vector(tool.position_m if tool.com_m is None else tool.com_m)
-    )
+    return PlantTool(_vector(tool.position_m), tool.mass_kg, _vector(tool.position_m if tool.com_m is None else tool.com_m))
 
 
 def _vector(values: tuple[float, ...]) -> Vector:

@@ -47,21 +47,13 @@ class Plant:
         self._shafts = tuple(Shaft(effect) for effect in effects.joints)
         self._shafts_are_true = all(shaft.is_true for shaft in self._shafts)
         self._read_hinge = tuple(
-            self._at.link_hinge[j] if drive.is_encoder_on_joint else self._at.motor_hinge[j]
-            for j, drive in enumerate(arm.drives)
+            self._at.link_hinge[j] if drive.is_encoder_on_joint else self._at.motor_hinge[j] for j, drive in enumerate(arm.drives)
         )
         self._pose(arm, start_rad)
         self._bend()
-        self.bridges = Bridges(
-            self._model, self._data, windings_of(arm, effects), self._at.bridge, effects.supply_resistance_ohm
-        )
+        self.bridges = Bridges(self._model, self._data, windings_of(arm, effects), self._at.bridge, effects.supply_resistance_ohm)
         self.hand = Hand(
-            self._at,
-            self._data,
-            options.hand_speed_m_s,
-            options.seating_noise_m,
-            options.seed,
-            self.effects.base_pose,
+            self._at, self._data, options.hand_speed_m_s, options.seating_noise_m, options.seed, self.effects.base_pose
         )
         self._steps = 0
         self._free_damping = [float(damping) for damping in self._model.dof_damping]
@@ -71,9 +63,7 @@ class Plant:
         self._gravity_m_s2 = self._model.opt.gravity.copy()
         self._delay_steps = round(effects.command_delay_s / options.timestep_s)
         self._pending: deque[tuple[int, int, int, float]] = deque()
-        self._load_friction = tuple(
-            j for j, effect in enumerate(effects.joints) if effect.load_fraction > 0.0
-        )
+        self._load_friction = tuple(j for j, effect in enumerate(effects.joints) if effect.load_fraction > 0.0)
         self._apply_asymmetry()
         self._read()
 
@@ -269,9 +259,7 @@ class Plant:
         self._q: list[float] = [q - step_s * v for q, v in zip(self._data.qpos.tolist(), speeds, strict=True)]
         self._v: list[float] = speeds
         if not math.isfinite(sum(self._v)):
-            raise MockError(
-                f"plant: the physics became unstable at {self.time_s:.4f} s; take a smaller timestep_s."
-            )
+            raise MockError(f"plant: the physics became unstable at {self.time_s:.4f} s; take a smaller timestep_s.")
 
     def _pose(self, arm: ArmParts, start_rad: Sequence[float]) -> None:
         if len(start_rad) != self.joints:
@@ -314,12 +302,7 @@ class Plant:
         """Load-dependent friction: Coulomb level plus a fraction of the torque transmitted to the link."""
         effect, data = self.effects.joints[j], self._data
         link, motor = self._at.link_hinge[j], self._at.motor_hinge[j]
-        passed = float(
-            data.qfrc_passive[link]
-            + data.qfrc_actuator[link]
-            + data.qfrc_applied[link]
-            + data.qfrc_constraint[link]
-        )
+        passed = float(data.qfrc_passive[link] + data.qfrc_actuator[link] + data.qfrc_applied[link] + data.qfrc_constraint[link])
         if link == motor:
             passed -= float(self._model.dof_armature[link] * data.qacc[link])
         level = effect.coulomb_Nm + effect.load_fraction * abs(passed)

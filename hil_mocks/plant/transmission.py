@@ -31,9 +31,7 @@ _ROTOR_BODY_KG = 1e-9  # MuJoCo requires a mass; the effective inertia is the hi
 class Transmissions:
     """Adds the drives of an arm to the specification that has its links."""
 
-    def __init__(
-        self, spec: Any, arm: ArmParts, effects: PlantEffects, timestep_s: float, link_share: float
-    ) -> None:
+    def __init__(self, spec: Any, arm: ArmParts, effects: PlantEffects, timestep_s: float, link_share: float) -> None:
         self._spec, self._arm, self._effects = spec, arm, effects
         self._timestep_s, self._link_share = timestep_s, link_share
         self.bristles: list[list[tuple[str, float]]] = [[] for _ in arm.drives]
@@ -60,9 +58,7 @@ class Transmissions:
         body = self._spec.worldbody.add_body(
             name=f"motor{j + 1}", mass=_ROTOR_BODY_KG, inertia=[_ROTOR_BODY_KG] * 3, explicitinertial=True
         )
-        body.add_joint(
-            name=f"m{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0], armature=inertia
-        )
+        body.add_joint(name=f"m{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0], armature=inertia)
         tendon = self._spec.add_tendon(name=f"gear{j + 1}")
         tendon.wrap_joint(f"m{j + 1}", 1.0)
         tendon.wrap_joint(f"q{j + 1}", -1.0)
@@ -82,9 +78,7 @@ class Transmissions:
             tendon.range = [-half, half]
             tendon.solref_limit, tendon.solimp_limit = [2.0 * self._timestep_s, 1.0], HARD
         else:
-            row = self._spec.add_equality(
-                type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON, name1=tendon.name
-            )
+            row = self._spec.add_equality(type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON, name1=tendon.name)
             row.solref, row.solimp = [2.0 * self._timestep_s, 1.0], HARD
 
     def motor_hinge(self, j: int) -> str:
@@ -200,9 +194,7 @@ def beam(root_m: Matrix, end_m: Matrix, EI_Nm2: float, where: str) -> Beam:
     way = end_m - root_m
     length = float(np.linalg.norm(way))
     if length < _SHORTEST_M:
-        raise MockError(
-            f"{where}: link_flexure bends {length:.4f} m of link; at least {_SHORTEST_M} m are needed."
-        )
+        raise MockError(f"{where}: link_flexure bends {length:.4f} m of link; at least {_SHORTEST_M} m are needed.")
     along = way / length
     helper = np.eye(3)[int(np.argmin(np.abs(along)))]
     first = np.cross(along, helper)

@@ -81,8 +81,7 @@ class ReferenceBench(Closing):
         can = arm.can
         if can is None or not arm.encoder_boards:
             raise ArmError(
-                f"arm {arm.name}: its ports are not set: add [[encoder_board]] and [can], or give --encoder and"
-                " --can-..."
+                f"arm {arm.name}: its ports are not set: add [[encoder_board]] and [can], or give --encoder and --can-..."
             )
         link = open_can(can.interface, can.channel, can.bitrate, **can.options)
         self._closers.append(link.close)
@@ -155,10 +154,7 @@ class ReferenceBench(Closing):
         for index, value in (
             (MotorParameter.WATCHDOG_ms, round(self._arm.limits.watchdog_s * 1e3)),
             (MotorParameter.WATCHDOG_ACTION, IdleOutput.BRAKE),
-            (
-                MotorParameter.STOP_AFTER_ms,
-                0,
-            ),  # a PID on an encoder whose sign is not known yet would run away
+            (MotorParameter.STOP_AFTER_ms, 0),  # a PID on an encoder whose sign is not known yet would run away
             (MotorParameter.DISABLED_OUTPUT, IdleOutput.BRAKE),
             (MotorParameter.VOLTAGE_LIMIT_mV, round(limits.voltage_V * 1e3)),
             (MotorParameter.CURRENT_LIMIT_mA, max(1, round(limits.current_A * 1e3))),
@@ -239,9 +235,7 @@ class ReferenceBench(Closing):
         for drive in self._arm.drives:
             if drive.home is not None and limits[drive.joint] & workbench.HOMED_ON.get(drive.home.switch, 0):
                 flags[workbench.channel_of(drive)] |= HOME_SWITCH
-        self.latest = workbench.Sample(
-            time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits
-        )
+        self.latest = workbench.Sample(time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits)
         return self.latest
 
     def _follow_speed(self, at: workbench.Channel, step: int, span_s: float) -> None:
@@ -249,9 +243,7 @@ class ReferenceBench(Closing):
             return
         speed = self._speeds.get(at, 0.0)
         wanted = step / span_s if math.isfinite(span_s) else 0.0
-        self._speeds[at] = (
-            speed + span_s / (span_s + SPEED_FILTER_S) * (wanted - speed) if span_s < 1.0 else wanted
-        )
+        self._speeds[at] = speed + span_s / (span_s + SPEED_FILTER_S) * (wanted - speed) if span_s < 1.0 else wanted
 
     def _watch(self, motor: MotorBoard, sample: workbench.Sample) -> None:
         now_s, limits = self.clock.now_s(), self._limits
@@ -280,9 +272,7 @@ class ReferenceBench(Closing):
                     " other joints are supported"
                 )
 
-    def _too_fast(
-        self, at: workbench.Channel, sample: workbench.Sample, limits: workbench.DriveLimits
-    ) -> str:
+    def _too_fast(self, at: workbench.Channel, sample: workbench.Sample, limits: workbench.DriveLimits) -> str:
         """A motor accelerates gradually; a count that jumps within one cycle is not motion."""
         before = self.before
         channel = f"encoder channel {at[1]} of board {at[0]}"

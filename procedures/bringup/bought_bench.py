@@ -23,12 +23,8 @@ from procedures.bringup import workbench
 
 ENABLE_S = 1.0
 SETTLE_S = 0.05  # after enabling, and until values have come
-MOST_LEAD_rad = (
-    0.06  # of a set-point before its joint: the lag of a usual position loop at 0.45 rad/s is half of it
-)
-RELIEF_S = (
-    0.2  # in which such a set-point comes back to its joint where the board limits the current; else at once
-)
+MOST_LEAD_rad = 0.06  # of a set-point before its joint: the lag of a usual position loop at 0.45 rad/s is half of it
+RELIEF_S = 0.2  # in which such a set-point comes back to its joint where the board limits the current; else at once
 CURRENT_MARGIN = 1.3  # of the limit
 EXCESS_S = 0.15  # a board that does not limit the current exceeds it until its set-point is back at the joint
 CURRENT_MARGIN_A = 0.2  # noise of the measurement
@@ -44,9 +40,7 @@ class BoughtBench(Closing):
 
     has_index = False
 
-    def __init__(
-        self, arm: Arm, clock: Clock, operator: workbench.BringupOperator, currents_A: Mapping[int, float]
-    ) -> None:
+    def __init__(self, arm: Arm, clock: Clock, operator: workbench.BringupOperator, currents_A: Mapping[int, float]) -> None:
         """`currents_A`: by joint, what its drive may draw. Raises the errors of `connect`."""
         self.clock, self.operator = clock, operator
         self._arm = _cautious(arm, currents_A)
@@ -80,9 +74,7 @@ class BoughtBench(Closing):
             self._exchanged(0.0)
             if self.clock.now_s() > end_s:
                 self._switch_off()
-                raise workbench.SafetyTrip(
-                    f"not all boards went into operation within {ENABLE_S:g} s; run `armwright doctor`"
-                )
+                raise workbench.SafetyTrip(f"not all boards went into operation within {ENABLE_S:g} s; run `armwright doctor`")
         self._wanted = Wanted.ENABLED
 
     def observe(self, duration_s: float) -> workbench.Sample:
@@ -184,17 +176,12 @@ class BoughtBench(Closing):
         sign = 1.0 if joint is None else float(self._arm.drives[joint].motor_direction)
         current_A = 0.0 if joint is None else sign * feedback.current_A[joint]
         flags = {(0, k): flags for k, flags in enumerate(feedback.channel_flags)}
-        limits = {
-            drive.joint: workbench.limits_of(drive, {}, flags[0, k])
-            for k, drive in enumerate(self._arm.drives)
-        }
+        limits = {drive.joint: workbench.limits_of(drive, {}, flags[0, k]) for k, drive in enumerate(self._arm.drives)}
         for k, drive in enumerate(self._arm.drives):
             if drive.home is not None and limits[drive.joint] & workbench.HOMED_ON.get(drive.home.switch, 0):
                 flags[0, k] |= HOME_SWITCH
         now_s = self.clock.now_s() if joint is None else feedback.counted_at_s[joint]
-        return workbench.Sample(
-            now_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits
-        )
+        return workbench.Sample(now_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits)
 
     def _follow_speed(self, at: workbench.Channel, count: int, counted_at_s: float) -> None:
         if at not in self._last:
@@ -215,9 +202,7 @@ class BoughtBench(Closing):
                 f"{name}: no values for {now_s - oldest_s:.3f} s (limit {stale_s} s); run `armwright doctor`"
             )
         if feedback.statusword[joint] & STATE_MASK != OPERATION_ENABLED:
-            raise workbench.SafetyTrip(
-                f"{name}: its board left operation by itself (faults 0x{feedback.drive_faults[joint]:x})"
-            )
+            raise workbench.SafetyTrip(f"{name}: its board left operation by itself (faults 0x{feedback.drive_faults[joint]:x})")
         if abs(sample.current_A) <= CURRENT_MARGIN * limits.current_A + CURRENT_MARGIN_A:
             self._kept_at_s = now_s
         elif now_s - self._kept_at_s > EXCESS_S:

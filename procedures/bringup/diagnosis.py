@@ -103,14 +103,10 @@ def _slip(result: Diagnosis, found: JointMeasurements) -> bool:
             evidence.append(f"the home switch positions differ by {1e3 * (max(edges) - min(edges)):.1f} mrad")
             break
     if found.flags & SIGNAL_LOST:
-        result.problems.append(
-            f"{name}: LOST ENCODER SIGNAL during motion: check the cable where it bends, and its plug"
-        )
+        result.problems.append(f"{name}: LOST ENCODER SIGNAL during motion: check the cable where it bends, and its plug")
     if not evidence:
         if found.flags & QUADRATURE_ERROR:
-            result.notes.append(
-                f"{name}: illegal encoder transition: check the shield and the supply of the encoder cable"
-            )
+            result.notes.append(f"{name}: illegal encoder transition: check the shield and the supply of the encoder cable")
         return False
     if found.flags & QUADRATURE_ERROR:
         cause = "COUNTS ARE LOST: illegal encoder transitions: check the shield, supply and length of the encoder cable"
@@ -133,9 +129,7 @@ def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> N
         )
         return
     if not spacings and not has_two_indices(drive):
-        result.notes.append(
-            f"{name}: its range has no two index pulses: counts per turn of the encoder are the draft's"
-        )
+        result.notes.append(f"{name}: its range has no two index pulses: counts per turn of the encoder are the draft's")
         return
     if not spacings:
         problem = f"{name}: NO INDEX PULSE within {2.6:g} turns of the encoder: check the encoder's Z wire"
@@ -169,9 +163,7 @@ def _line(result: Diagnosis, found: JointMeasurements, is_slipping: bool) -> tup
     points = found.readings
     name = f"joint {result.drive.joint}"
     if len(points) < 2:
-        result.notes.append(
-            f"{name}: no angle was read: gear ratio, zero and limits were not checked and are the draft's"
-        )
+        result.notes.append(f"{name}: no angle was read: gear ratio, zero and limits were not checked and are the draft's")
         return math.nan, math.nan
     x0, q0 = fmean(x for x, _ in points), fmean(q for _, q in points)
     sxx = math.fsum((x - x0) ** 2 for x, _ in points)
@@ -226,17 +218,12 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
         )
         return
     rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")
-    result.changes.append(
-        f"joint {drive.joint}: WRONG GEAR: {found}: {key} = {rounded:g}; compare with the gearbox plate"
-    )
+    result.changes.append(f"joint {drive.joint}: WRONG GEAR: {found}: {key} = {rounded:g}; compare with the gearbox plate")
     if sd > EXACT * ratio:
         result.notes.append(
-            f"joint {drive.joint}: the gear ratio is known to {sd / ratio:.1%} only: run with end stops and read the"
-            " angles there"
+            f"joint {drive.joint}: the gear ratio is known to {sd / ratio:.1%} only: run with end stops and read the angles there"
         )
-    result.drive = (
-        replace(drive, gear_ratio=rounded) if what == "motor" else replace(drive, encoder_ratio=rounded)
-    )
+    result.drive = replace(drive, gear_ratio=rounded) if what == "motor" else replace(drive, encoder_ratio=rounded)
 
 
 def _motor(result: Diagnosis, found: JointMeasurements, motor_turns: float) -> None:
@@ -279,9 +266,7 @@ def _friction(result: Diagnosis, found: JointMeasurements, draft: Drive, scale: 
         if math.isclose(f.speed_rad_s, -b.speed_rad_s, rel_tol=0.1)
     ]
     if len(points) < 2:
-        result.notes.append(
-            f"joint {draft.joint}: friction was not measured: the joint did not turn freely in both directions"
-        )
+        result.notes.append(f"joint {draft.joint}: friction was not measured: the joint did not turn freely in both directions")
         return
     w0, t0 = fmean(w for w, _ in points), fmean(t for _, t in points)
     sww = math.fsum((w - w0) ** 2 for w, _ in points)
@@ -328,9 +313,7 @@ def place_home(result: Diagnosis, found: JointMeasurements, offset_rad: float, s
     return _place_index(result, found, home, offset_rad, scale)
 
 
-def _place_index(
-    result: Diagnosis, found: JointMeasurements, home: Home, offset_rad: float, scale: float
-) -> float:
+def _place_index(result: Diagnosis, found: JointMeasurements, home: Home, offset_rad: float, scale: float) -> float:
     name = f"joint {result.drive.joint}"
     turn_rad = result.drive.encoder_turn_rad
     index_rad = home.index_rad
@@ -358,9 +341,7 @@ def _place_index(
             )
         if found.has_index:
             _warn_of_far_index(result, turn_rad, scale * (found.index_rad - fmean(edges)))
-    result.drive = replace(
-        result.drive, home=replace(home, index_rad=index_rad, switch_rad=round(switch_rad, 7))
-    )
+    result.drive = replace(result.drive, home=replace(home, index_rad=index_rad, switch_rad=round(switch_rad, 7)))
     return index_rad - scale * found.index_rad
 
 

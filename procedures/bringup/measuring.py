@@ -96,10 +96,7 @@ class JointDriver:
         )
 
     def turn(
-        self,
-        distance_rad: float,
-        speed_rad_s: float,
-        until: Callable[[DrivenMotion, Sample], bool] = lambda run, sample: False,
+        self, distance_rad: float, speed_rad_s: float, until: Callable[[DrivenMotion, Sample], bool] = lambda run, sample: False
     ) -> DrivenMotion:
         """Turn by a signed distance at a speed, until it arrives, stalls, or the caller ends it."""
         sign = math.copysign(1.0, distance_rad)
@@ -182,9 +179,7 @@ class JointDriver:
             self.bench.observe(0.02)
             self.bench.arm_index(self.channel)
             run = self.turn(
-                direction * longest_rad,
-                speed_rad_s,
-                lambda run, sample: self.bench.index_latch(self.channel) is not None,
+                direction * longest_rad, speed_rad_s, lambda run, sample: self.bench.index_latch(self.channel) is not None
             )
             latch = self.bench.index_latch(self.channel)
             if run.end is not MotionEnd.SEEN or latch is None:
@@ -221,9 +216,7 @@ SUPPORT_S = 0.3  # in which a joint comes to rest once the links are supported a
 LATCHES = 5
 INDEX_SPEED_rad_s = 0.12
 SAME_PULSE_counts = 4
-INDEX_TURNS = (
-    2.6  # turns of the encoder by the draft: even at half or twice the counts there are two index pulses
-)
+INDEX_TURNS = 2.6  # turns of the encoder by the draft: even at half or twice the counts there are two index pulses
 KNOWN_ANGLE_RAD = 0.3  # readings, including those at the end stops
 LONG_ANGLE_RAD = 0.6  # readings without end stops
 PASS_SPEEDS_rad_s = (0.1, 0.2, 0.4)
@@ -272,14 +265,10 @@ class JointMeasurements:
     stalled_early: bool = False
 
 
-def measure(
-    driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool
-) -> JointMeasurements:
+def measure(driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool) -> JointMeasurements:
     """Take all measurements. Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off."""
     bench, joint = driver.bench, driver.wiring.joint
-    found = JointMeasurements(
-        has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s)
-    )
+    found = JointMeasurements(has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s))
     operator.support(joint, are_held=not bench.has_volts)
     driver.bench.observe(SUPPORT_S)
     try:
@@ -294,9 +283,7 @@ def measure(
             measure_index_spacing(driver, found)
         _friction(driver, found)
         if with_stops:
-            ends = (
-                "end stops" if driver.drive.limit_switches is None else "ends, until a limit switch or a stop"
-            )
+            ends = "end stops" if driver.drive.limit_switches is None else "ends, until a limit switch or a stop"
             _allow(operator, joint, f"creeps to both {ends}; its whole range must be clear", None)
             _stops(driver, operator, joint, found, speed_rad_s)
     finally:
@@ -310,9 +297,7 @@ def _allow(operator: BringupOperator, joint: int, what: str, travel_rad: float |
         raise Stopped(f"the operator did not confirm the motion of joint {joint}")
 
 
-def _known_angle(
-    driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, angle_rad: float
-) -> None:
+def _known_angle(driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, angle_rad: float) -> None:
     """Read, turn by the draft's scale, read again: this reveals a wrong scale before a long motion."""
     _read(driver, operator, joint, found)
     _allow(operator, joint, "turns in its supposed positive direction", angle_rad)
@@ -327,9 +312,7 @@ def _known_angle(
     _take_scale(driver, found)
 
 
-def _turned(
-    driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float = 0.2
-) -> float:
+def _turned(driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float = 0.2) -> float:
     run = driver.turn(distance_rad, speed_rad_s)
     _note_flags(run, found)
     return run.travelled_rad
@@ -414,9 +397,7 @@ def _take_scale(driver: JointDriver, found: JointMeasurements) -> None:
             driver.scale = abs((q1 - q0) / (x1 - x0))
 
 
-def _stops(
-    driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, speed_rad_s: float
-) -> None:
+def _stops(driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, speed_rad_s: float) -> None:
     start_rad = driver.where_rad()
     drive = driver.drive
     range_rad = drive.joint_upper_rad - drive.joint_lower_rad
@@ -443,9 +424,7 @@ def _stops(
     _creep(driver, found, start_rad - driver.where_rad(), speed_rad_s)
 
 
-def _creep(
-    driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float
-) -> DrivenMotion:
+def _creep(driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float) -> DrivenMotion:
     """A slow motion that records the home switch and, in the search direction, the index behind it.
 
     The joint stops at the switch, because arming the index requires an answer of the board.

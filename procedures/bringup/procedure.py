@@ -31,9 +31,7 @@ class Journal:
     def __init__(self, path: Path, draft: Arm) -> None:
         """Raises ArmError if an existing journal belongs to another draft."""
         self.path = path
-        digest = (
-            hashlib.sha256(draft.path.read_bytes()).hexdigest() if draft.path and draft.path.exists() else ""
-        )
+        digest = hashlib.sha256(draft.path.read_bytes()).hexdigest() if draft.path and draft.path.exists() else ""
         self._content: dict[str, Any] = {
             "format": FORMAT,
             "arm": draft.name,
@@ -51,9 +49,7 @@ class Journal:
             content = parsed_json(read_text(self.path))
             is_ours = content["format"] == FORMAT
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ArmError(
-                f"{self.path}: not a bring-up journal ({error}): remove it, or choose another --out"
-            ) from None
+            raise ArmError(f"{self.path}: not a bring-up journal ({error}): remove it, or choose another --out") from None
         if not is_ours or content.get("draft_sha256") != digest:
             raise ArmError(
                 f"{self.path}: this journal belongs to another draft, or the draft has changed: remove it to start"
@@ -66,9 +62,7 @@ class Journal:
         self._content["pulses"] = [pulse.as_json() for pulse in pulses]
         self._save()
 
-    def note_joint(
-        self, joint: int, wiring: MeasuredWiring, found: JointMeasurements, result: Diagnosis
-    ) -> None:
+    def note_joint(self, joint: int, wiring: MeasuredWiring, found: JointMeasurements, result: Diagnosis) -> None:
         """Record one joint; it counts as done if there are no problems."""
         self._content["joints"][str(joint)] = {
             "passed": not result.problems,
@@ -100,9 +94,18 @@ class Journal:
 def _keys(drive: Drive) -> dict[str, Any]:
     """The keys of a drive that bring-up may change."""
     names = (
-        "motor_node", "motor_direction", "board", "board_channel", "encoder_board", "encoder_channel", "encoder_direction",
-        "encoder_counts_per_rev", "gear_ratio", "joint_lower_rad", "joint_upper_rad",
-    )  # fmt: skip
+        "motor_node",
+        "motor_direction",
+        "board",
+        "board_channel",
+        "encoder_board",
+        "encoder_channel",
+        "encoder_direction",
+        "encoder_counts_per_rev",
+        "gear_ratio",
+        "joint_lower_rad",
+        "joint_upper_rad",
+    )
     keys: dict[str, Any] = {name: getattr(drive, name) for name in names}
     keys["home"] = asdict(drive.home) if drive.home else None
     return keys
@@ -175,9 +178,7 @@ class BringupOutcome:
     problems: list[str] = field(default_factory=list)
 
 
-def bring_up(
-    arm: Arm, bench: Workbench, operator: BringupOperator, journal: Journal, options: BringupOptions
-) -> BringupOutcome:
+def bring_up(arm: Arm, bench: Workbench, operator: BringupOperator, journal: Journal, options: BringupOptions) -> BringupOutcome:
     """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are then off."""
     outcome = BringupOutcome()
     if options.with_stops and not bench.limits_current:
@@ -209,11 +210,7 @@ def bring_up(
 
 
 def measure_joint(
-    driver: JointDriver,
-    operator: BringupOperator,
-    journal: Journal,
-    options: BringupOptions,
-    outcome: BringupOutcome,
+    driver: JointDriver, operator: BringupOperator, journal: Journal, options: BringupOptions, outcome: BringupOutcome
 ) -> None:
     bench, drive, wiring = driver.bench, driver.drive, driver.wiring
     most = f", at most {driver.caution.current_A:.2f} A" if bench.limits_current else ""
@@ -244,16 +241,9 @@ def caution_of(arm: Arm, drive: Drive, options: BringupOptions) -> Caution:
     speed_rad_s = min(SURVEY_SPEED_rad_s, drive.joint_speed_limit_rad_s)
     if options.current_A is not None:
         return Caution(options.current_A, speed_rad_s)
-    limit_A = (
-        drive.current_limit_A
-        if math.isfinite(drive.current_limit_A)
-        else drive.supply_V / drive.resistance_ohm
-    )
+    limit_A = drive.current_limit_A if math.isfinite(drive.current_limit_A) else drive.supply_V / drive.resistance_ohm
     least_A = CURRENT_SHARE * limit_A
-    lifting_A = (
-        LIFTING * _gravity_Nm(arm, drive.joint) / (drive.gear_ratio * drive.torque_constant_Nm_A)
-        + 0.5 * least_A
-    )
+    lifting_A = LIFTING * _gravity_Nm(arm, drive.joint) / (drive.gear_ratio * drive.torque_constant_Nm_A) + 0.5 * least_A
     return Caution(min(max(least_A, lifting_A), LOAD_SHARE * limit_A), speed_rad_s)
 
 

@@ -73,9 +73,7 @@ class Pulse:
         return asdict(self)
 
 
-def pulse(
-    bench: Workbench, operator: BringupOperator, drive: Drive, caution: Caution, joint_count: int
-) -> Pulse:
+def pulse(bench: Workbench, operator: BringupOperator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
     """Ramp the voltage of the draft's motor board for `drive` until something moves, ask what moved, and go back.
 
     Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off.
@@ -108,9 +106,7 @@ def pulse(
     return judged if bench.has_volts else replace(judged, peak_volts=math.nan, stall_ohm=math.nan)
 
 
-def _ramp(
-    bench: Workbench, drive: Drive, limits: DriveLimits, per_rad: float, sign: float, wanted: int = 0
-) -> list[Sample]:
+def _ramp(bench: Workbench, drive: Drive, limits: DriveLimits, per_rad: float, sign: float, wanted: int = 0) -> list[Sample]:
     """Raise the voltage until the largest channel has moved by the pulse (or by `wanted` counts); returns all cycles."""
     samples: list[Sample] = []
     blind_rad, time_s = 0.0, 0.0
@@ -293,14 +289,7 @@ def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
     holds = drive.board_holds if drive.board else _can_board_hold(pulse)
     found.joints[pulse.joint] = MeasuredWiring(
-        pulse.joint,
-        pulse.node,
-        pulse.direction,
-        pulse.channel,
-        encoder_direction,
-        holds,
-        drive.board,
-        drive.board_channel,
+        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, holds, drive.board, drive.board_channel
     )
     _compare_motor_board(found, pulse, drive)
 
@@ -365,8 +354,7 @@ def _changes(found: MeasuredWiring, drive: Drive) -> list[str]:
     if not found.board and found.channel != channel_of(drive):
         draft = _named((drive.encoder_board, drive.encoder_channel))
         changes.append(
-            f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, draft {draft}: encoder_channel"
-            " corrected"
+            f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, draft {draft}: encoder_channel corrected"
         )
     if found.motor_direction != drive.motor_direction:
         changes.append(
@@ -374,14 +362,8 @@ def _changes(found: MeasuredWiring, drive: Drive) -> list[str]:
             f" motor_direction = {found.motor_direction}"
         )
     if found.board_holds != drive.board_holds:
-        able = (
-            "can hold the joint by its own encoder"
-            if found.board_holds
-            else "cannot hold the joint and will brake"
-        )
-        changes.append(
-            f"{name}: without the loop its motor board {able}: board_holds = {str(found.board_holds).lower()}"
-        )
+        able = "can hold the joint by its own encoder" if found.board_holds else "cannot hold the joint and will brake"
+        changes.append(f"{name}: without the loop its motor board {able}: board_holds = {str(found.board_holds).lower()}")
     if found.encoder_direction != drive.encoder_direction:
         changes.append(
             f"{name}: REVERSED ENCODER: it counts {'up' if found.encoder_direction > 0 else 'down'} in the joint's positive"

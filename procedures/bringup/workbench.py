@@ -77,9 +77,7 @@ class TerminalOperator:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         self._by_lines()
 
     def say(self, text: str) -> None:
@@ -109,8 +107,7 @@ class TerminalOperator:
         """Asked until the answer is valid."""
         while True:
             answer = self._line(
-                "  Which joint moved, and in which direction of the drawing? Joint and sign, such as 1+ or 2-; 0:"
-                " nothing moved. "
+                "  Which joint moved, and in which direction of the drawing? Joint and sign, such as 1+ or 2-; 0: nothing moved. "
             ).strip()
             if answer.lower() in NOTHING:
                 return None
@@ -123,8 +120,7 @@ class TerminalOperator:
         """Degrees are what protractors have."""
         while True:
             answer = self._line(
-                f"  Angle of joint {joint} as in the drawing, in degrees (protractor or inclinometer; Enter: cannot"
-                " be read): "
+                f"  Angle of joint {joint} as in the drawing, in degrees (protractor or inclinometer; Enter: cannot be read): "
             ).strip()
             if not answer:
                 return None
@@ -142,9 +138,7 @@ class TerminalOperator:
                 " but do not press."
             )
         else:
-            self.say(
-                f"Joint {joint} is next. Support the links of the other joints: they are braked, but not held."
-            )
+            self.say(f"Joint {joint} is next. Support the links of the other joints: they are braked, but not held.")
 
     def let_go(self) -> None:
         """Nothing to do: a person sees that the motion is over."""
@@ -204,9 +198,7 @@ class MockOperator:
         turned = [now - before for before, now in zip(self._before, self._rig.joint_rad(), strict=True)]
         joint = max(range(joint_count), key=lambda j: abs(turned[j]))
         answer = (joint + 1, 1 if turned[joint] > 0.0 else -1) if abs(turned[joint]) > SEEN_RAD else None
-        words = (
-            f"joint {answer[0]}, {'positive' if answer[1] > 0 else 'negative'}" if answer else "nothing moved"
-        )
+        words = f"joint {answer[0]}, {'positive' if answer[1] > 0 else 'negative'}" if answer else "nothing moved"
         self.say(f"  Which joint moved, and in which direction?  [mock operator: {words}]")
         return answer
 
@@ -339,8 +331,4 @@ def channel_of(drive: Drive) -> Channel:
 
 def named(drive: Drive) -> str:
     """The board of a drive in messages."""
-    return (
-        f'board "{drive.board}" (output {drive.board_channel})'
-        if drive.board
-        else f"motor board {drive.motor_node}"
-    )
+    return f'board "{drive.board}" (output {drive.board_channel})' if drive.board else f"motor board {drive.motor_node}"

@@ -40,12 +40,7 @@ from procedures.mock import MockBench
 from procedures.verify.survey import Model, Place, Programme, Survey, compared, paired, recorded, ways
 
 Range = tuple[float, float]
-GEOMETRY = {
-    "d_m": 0.002,
-    "theta_rad": 0.01,
-    "L_m": 0.002,
-    "alpha_rad": 0.01,
-}  # also hidden, within these bounds
+GEOMETRY = {"d_m": 0.002, "theta_rad": 0.01, "L_m": 0.002, "alpha_rad": 0.01}  # also hidden, within these bounds
 # Sizes that matter in practice. Joint 1 is vertical: nothing loads its spring at rest.
 SIZES: Mapping[str, tuple[tuple[int, ...], Mapping[str, Range]]] = {
     "backlash": ((1, 2, 3), {"width_rad": (0.003, 0.008)}),
@@ -78,19 +73,8 @@ DRAWN = (
     "coulomb_friction",
     "load_friction",
 )
-ON_TIP = (
-    "backlash",
-    "joint_compliance",
-    "encoder_scale",
-    "encoder_eccentricity",
-    "belt_coupling",
-    "thermal_drift",
-)
-KNOWN = (
-    (1.0, 1.2),
-    (1.2, 1.5),
-    (0.7, 0.8),
-)  # Coulomb [N m] and viscous [N m s/rad] friction in the arm's file
+ON_TIP = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "thermal_drift")
+KNOWN = ((1.0, 1.2), (1.2, 1.5), (0.7, 0.8))  # Coulomb [N m] and viscous [N m s/rad] friction in the arm's file
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +87,7 @@ class Hidden:
 
     def __str__(self) -> str:
         """As `backlash on joint 2 (width_rad = 0.0051)`."""
-        where = (
-            f" on {'link' if self.effect == 'link_inertia' else 'joint'} {self.joint}" if self.joint else ""
-        )
+        where = f" on {'link' if self.effect == 'link_inertia' else 'joint'} {self.joint}" if self.joint else ""
         values = ", ".join(f"{name} = {value:.4g}" for name, value in self.parameters.items())
         return f"{self.effect}{where} ({values})"
 
@@ -132,9 +114,7 @@ def drawn(seed: int, effect: str | None, joint: int | None) -> Hidden:
         raise CalibrationError(f"--joint: expected {places} for {name}, got {joint}")
     at = joint or (draw.choice(joints) if joints else None)
     values = {key: draw.uniform(*between) for key, between in sizes.items()}
-    rounded = {
-        key: float(round(value)) if key in WHOLE else float(f"{value:.4g}") for key, value in values.items()
-    }
+    rounded = {key: float(round(value)) if key in WHOLE else float(f"{value:.4g}") for key, value in values.items()}
     return Hidden(name, at, rounded)
 
 
@@ -144,9 +124,7 @@ def with_known_friction(arm: Arm) -> Arm:
     added = [
         Effect(name, j + 1, {key: KNOWN[min(j, len(KNOWN) - 1)][k]})
         for j in range(arm.joint_count)
-        for k, (name, key) in enumerate(
-            (("coulomb_friction", "torque_Nm"), ("viscous_friction", "coefficient_Nm_s_rad"))
-        )
+        for k, (name, key) in enumerate((("coulomb_friction", "torque_Nm"), ("viscous_friction", "coefficient_Nm_s_rad")))
         if name not in has
     ]
     return dataclasses.replace(arm, effects=(*arm.effects, *added))
@@ -216,9 +194,7 @@ def run(arm: Arm, bench: MockBench, hidden: Hidden, out: Path, advance: Advance)
     recordings, outcome = _recorded(arm, own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
     nominal = Model(arm)
-    before = _driven(
-        Survey(nominal, programme, out / "driven_nominal.csv"), nominal, client, bench.speed, out
-    )
+    before = _driven(Survey(nominal, programme, out / "driven_nominal.csv"), nominal, client, bench.speed, out)
     shut_down(arm, bench, client)
 
     if recordings.log_files:
@@ -322,8 +298,7 @@ def findings(circle: Circle) -> tuple[str, ...]:
     named = ", ".join(str(one.name) for one in circle.named) or "nothing"
     right = "correct" if circle.is_right else "not correct"
     alone, after = (
-        1e3 * summary.mean_m
-        for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
+        1e3 * summary.mean_m for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
     )
     before = 1e3 * circle.corrected.of("all").before.mean_m
     found = circle.outcome.finding
@@ -356,24 +331,14 @@ def _parts(circle: Circle, made: Provenance) -> Iterator[Section | str]:
     yield tiles(_tiles(circle))
     yield list_section("Procedure", _steps(circle))
     yield _revealed(circle)
-    yield verification_section(
-        circle.geometry_alone, "at held-out places: correction off (before) and on (after)"
-    )
+    yield verification_section(circle.geometry_alone, "at held-out places: correction off (before) and on (after)")
     yield paths_section(circle.paths)
     yield from gap_parts(circle.outcome)
 
 
 def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:
-    yield (
-        "before",
-        f"{1e3 * circle.corrected.of('all').before.mean_m:.2f} mm",
-        "mean tip error, nominal model",
-    )
-    yield (
-        "before",
-        f"{1e3 * circle.geometry_alone.of('all').before.mean_m:.2f} mm",
-        "geometry identified, correction off",
-    )
+    yield ("before", f"{1e3 * circle.corrected.of('all').before.mean_m:.2f} mm", "mean tip error, nominal model")
+    yield ("before", f"{1e3 * circle.geometry_alone.of('all').before.mean_m:.2f} mm", "geometry identified, correction off")
     yield "after", f"{1e3 * circle.corrected.of('all').after.mean_m:.2f} mm", "correction on"
     yield (
         "after",
@@ -391,10 +356,7 @@ def _steps(circle: Circle) -> Iterator[str]:
         " minutes of arm time."
     )
     yield "Moved to held-out places and along a circle and a line with the nominal model; the camera measured."
-    yield (
-        "Analysed the recordings with the nominal arm.toml alone; named the missing effects and added them to a new"
-        " arm.toml."
-    )
+    yield ("Analysed the recordings with the nominal arm.toml alone; named the missing effects and added them to a new arm.toml.")
     yield "Started the runtime with the new arm.toml and moved to the same places with the correction off, then on."
 
 
@@ -403,18 +365,7 @@ def _revealed(circle: Circle) -> Section:
     same = found.get(circle.hidden.effect)
     rows = []
     for key, value in circle.hidden.parameters.items():
-        known, sd = (
-            same.parameters.get(key, (float("nan"), float("nan"))) if same else (float("nan"), float("nan"))
-        )
-        rows.append(
-            (
-                ("text", key),
-                f"{value:.4g}",
-                "–" if known != known else f"{known:.4g}",
-                "–" if sd != sd else f"{sd:.2g}",
-            )
-        )
+        known, sd = same.parameters.get(key, (float("nan"), float("nan"))) if same else (float("nan"), float("nan"))
+        rows.append((("text", key), f"{value:.4g}", "–" if known != known else f"{known:.4g}", "–" if sd != sd else f"{sd:.2g}"))
     head = (("text", "parameter"), "hidden", "found", "sd")
-    return Section(
-        "Hidden effect", paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows)
-    )
+    return Section("Hidden effect", paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows))

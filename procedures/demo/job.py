@@ -119,9 +119,7 @@ def _calibrate(arm: Arm, table: Table, out: Path) -> DemoCalibration:
     return DemoCalibration(write_calibrated_arm(file, arm, found, made), file, points, found, made)
 
 
-def _report(
-    arm: Arm, made: DemoCalibration, verification: Comparison, paths: tuple[TrackPair, ...], out: Path
-) -> JobOutcome:
+def _report(arm: Arm, made: DemoCalibration, verification: Comparison, paths: tuple[TrackPair, ...], out: Path) -> JobOutcome:
     """Write calibration.json and report.html."""
     points, found = made.points, made.found
     calibration = compare(points.setup, points.point, points.tip_m, found.error_before_m, found.error_after_m)
@@ -163,8 +161,7 @@ def _session(arm: Arm, bench: MockBench, client: ArmClient, out: Path) -> Iterat
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:
     return (
         "Connected to the mock boards, checked their identities, homed every joint.",
-        f"Moved to {verified_count} verification points and ran circle and line with the nominal model; the camera"
-        " measured.",
+        f"Moved to {verified_count} verification points and ran circle and line with the nominal model; the camera measured.",
         (
             f"Seated the tip in {points_count} cavities (33 each on the level, rolled and pitched board) and averaged the"
             " encoders."

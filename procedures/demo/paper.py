@@ -63,9 +63,7 @@ def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> PaperOutcome
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()
     advance("report", 0.98)
-    replay = PaperReplay(
-        targets, before_m, models, reached, _table_error_m(arm, points), paper_models.table_says(arm, points)
-    )
+    replay = PaperReplay(targets, before_m, models, reached, _table_error_m(arm, points), paper_models.table_says(arm, points))
     outcome = _written(arm, replay, out)
     advance("done", 1.0)
     return outcome
@@ -93,9 +91,7 @@ class _Visits:
 
 def _record(arm: Arm, table: Table, mover: paper_models.Mover, file: Path, advance: Advance) -> None:
     """The session: every cavity on every tilt by hand, then the free poses, each from both sides."""
-    cavities = [
-        point for setup in paper_models.SETUPS for point in board_points(setup, tables.cavities(table, setup))
-    ]
+    cavities = [point for setup in paper_models.SETUPS for point in board_points(setup, tables.cavities(table, setup))]
     free = [
         paper_models.GentlePose("free", f"f{k}", tuple(q.tolist()), (side,) * arm.joint_count, repeat)
         for k, q in enumerate(paper_models.free_poses(arm), 1)

@@ -60,9 +60,7 @@ def other_trajectory(table: Table) -> tuple[Goal, ...]:
     turn = 2.0 * np.pi * np.arange(STOPS) / STOPS
     place = np.column_stack((0.1 * np.cos(turn), 0.15 * np.sin(turn), 0.14 + 0.06 * np.sin(turn + 0.7)))
     centre = np.array(tables.board_origin(table))
-    return tuple(
-        (OTHER, f"t{k + 1}", (float(x), float(y), float(z))) for k, (x, y, z) in enumerate(centre + place)
-    )
+    return tuple((OTHER, f"t{k + 1}", (float(x), float(y), float(z))) for k, (x, y, z) in enumerate(centre + place))
 
 
 def free_poses(arm: Arm, seed: int = 0) -> Array:
@@ -172,24 +170,17 @@ class PaperModel:
 def models_of(arm: Arm, points: Points) -> tuple[PaperModel, ...]:
     """The identifications: each tilt alone as the authors did, all tilts, free poses as well, backlash in the model."""
     tilts = [k for k, setup in enumerate(points.setup) if setup in SETUPS]
-    alone = [
-        _identified(arm, points, [k for k in tilts if points.setup[k] == s], s, f"the {s} board alone")
-        for s in SETUPS
-    ]
+    alone = [_identified(arm, points, [k for k in tilts if points.setup[k] == s], s, f"the {s} board alone") for s in SETUPS]
     everywhere = range(len(points))
     return (
         *alone,
         _identified(arm, points, tilts, TILTS, "the three tilts together"),
         _identified(arm, points, everywhere, FREE, "the tilts and free poses, geometry alone"),
-        _identified(
-            arm, points, everywhere, BACKLASH, "the tilts and free poses, backlash in the model", True
-        ),
+        _identified(arm, points, everywhere, BACKLASH, "the tilts and free poses, backlash in the model", True),
     )
 
 
-def _identified(
-    arm: Arm, points: Points, rows: Sequence[int], name: str, what: str, has_backlash: bool = False
-) -> PaperModel:
+def _identified(arm: Arm, points: Points, rows: Sequence[int], name: str, what: str, has_backlash: bool = False) -> PaperModel:
     """Identify by the sum of distances within 5 mm and 2 degrees, as in the paper."""
     used = points.chosen(rows)
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)] if has_backlash else []
@@ -209,10 +200,7 @@ def with_friction(model: PaperModel, arm: Arm, points: Points) -> Arm:
     """The model's arm with the dry friction shown by its motors, from which flanks are predicted before motion."""
     gravity = gravity_Nm(arm, points.q_rad)
     level, _ = friction_Nm(arm, points.current_A * torque_per_A(arm) - gravity, gravity)
-    shown = tuple(
-        Effect("coulomb_friction", joint, {"torque_Nm": float(torque)})
-        for joint, torque in enumerate(level, 1)
-    )
+    shown = tuple(Effect("coulomb_friction", joint, {"torque_Nm": float(torque)}) for joint, torque in enumerate(level, 1))
     return dataclasses.replace(model.arm, effects=(*model.arm.effects, *shown))
 
 
@@ -246,7 +234,5 @@ def _clear(arm: Arm, joint_rad: Array, direction: Array) -> Array:
 def _ahead(arm: Arm, joint_rad: Array, direction: Array) -> Array:
     """Joint minus encoder angles (m, n) by the arm's static effects."""
     m = len(joint_rad)
-    there = make_points(
-        [""] * m, [str(k) for k in range(m)], [1] * m, joint_rad, np.full((m, 3), np.nan), direction
-    )
+    there = make_points([""] * m, [str(k) for k in range(m)], [1] * m, joint_rad, np.full((m, 3), np.nan), direction)
     return known_corrections(arm, there)

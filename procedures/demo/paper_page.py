@@ -120,13 +120,7 @@ def table_rows(replay: PaperReplay) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("identified from", "points", *PLACES)]
     names = [model.name for model in replay.models]
     before = [replay.of(names[0], place) for place in PLACES]
-    rows.append(
-        (
-            "not calibrated [mm]",
-            "",
-            *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before),
-        )
-    )
+    rows.append(("not calibrated [mm]", "", *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before)))
     for model in replay.models:
         each = [replay.of(model.name, place) for place in PLACES]
         rows.append((f"{model.name} [mm]", str(model.points_count), *map(_after_mm, each)))
@@ -167,9 +161,7 @@ def _model(replay: PaperReplay, model: PaperModel) -> dict[str, object]:
         "what": model.what,
         "points": model.points_count,
         "mean_error_at_its_points_m": {"before": found.mean_before_m, "after": found.mean_after_m},
-        "parameters": {
-            e.parameter.name: {"deviation": e.deviation, "unit": e.parameter.unit} for e in found.estimates
-        },
+        "parameters": {e.parameter.name: {"deviation": e.deviation, "unit": e.parameter.unit} for e in found.estimates},
         "at_bound": found.binding,
         "effects": [entries(effect, "effect", "joint", "parameters") for effect in model.backlash],
         "verified": {
@@ -280,9 +272,7 @@ def _own_section(replay: PaperReplay) -> Section:
         "Each tilt alone, verified on itself",
         table(header, rows)
         + svg((10.4, 3.9), lambda figure: _draw_remaining(figure, replay))
-        + paragraph(
-            "± is half the 95 % interval over the points. Published: Table 4 of " + CITED + ".", "soft small"
-        ),
+        + paragraph("± is half the 95 % interval over the points. Published: Table 4 of " + CITED + ".", "soft small"),
     )
 
 
@@ -294,16 +284,10 @@ def _table_section(replay: PaperReplay) -> Section:
     rows: list[Sequence[Cell]] = []
     for model in replay.models:
         each = [replay.of(model.name, place) for place in PLACES]
-        rows.append(
-            (model.name, str(model.points_count), *(("after", _mm(e.after_m, e.after_half_m)) for e in each))
-        )
+        rows.append((model.name, str(model.points_count), *(("after", _mm(e.after_m, e.after_half_m)) for e in each)))
         rows.append(("", "", *(f"{e.percent:.1f} ± {e.percent_half:.1f} %" for e in each)))
     before = [replay.of(replay.models[0].name, place) for place in PLACES]
-    first: Sequence[Cell] = (
-        "not calibrated",
-        "",
-        *(("before", _mm(b.before_m, b.before_half_m)) for b in before),
-    )
+    first: Sequence[Cell] = ("not calibrated", "", *(("before", _mm(b.before_m, b.before_half_m)) for b in before))
     return Section(
         "Every identification, verified everywhere",
         table(("identified from", "points", *(f"{place} [mm]" for place in PLACES)), [first, *rows])
@@ -344,13 +328,7 @@ def _models_section(replay: PaperReplay) -> Section:
     for model in replay.models:
         entries = (e for e in model.found.estimates if e.deviation != 0.0)
         rows = [
-            (
-                e.parameter.name,
-                e.parameter.unit,
-                f"{e.deviation:+.5f}",
-                "at its bound" if e.is_at_bound else "",
-            )
-            for e in entries
+            (e.parameter.name, e.parameter.unit, f"{e.deviation:+.5f}", "at its bound" if e.is_at_bound else "") for e in entries
         ]
         parts.append(heading(f"{model.name}: {model.what}, {model.points_count} points"))
         parts.append(
@@ -378,9 +356,7 @@ def _draw_remaining(figure: "Figure", replay: PaperReplay) -> None:
         _draw_means(axes, at - 0.24 + 0.12 * k, means, COLOURS[k], MARKERS[k], model.name)
     for k, setup in enumerate(SETUPS):
         value = 1e3 * AFTER_m[setup]
-        axes.hlines(
-            value, k - 0.4, k + 0.4, color="black", lw=1.5, ls="--", label="published" if k == 0 else "_"
-        )
+        axes.hlines(value, k - 0.4, k + 0.4, color="black", lw=1.5, ls="--", label="published" if k == 0 else "_")
         axes.text(k + 0.4, 1.06 * value, f"{value:.1f}", ha="right", va="bottom")
     axes.set_xticks(at, PLACES)
     axes.set(ylabel="mean error [mm]", yscale="log", xlim=(-0.5, len(PLACES) - 0.5))
@@ -389,9 +365,7 @@ def _draw_remaining(figure: "Figure", replay: PaperReplay) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), title="identified from")
 
 
-def _draw_means(
-    axes: "Axes", at: np.ndarray, means_m: list[tuple[float, float]], colour: str, marker: str, label: str
-) -> None:
+def _draw_means(axes: "Axes", at: np.ndarray, means_m: list[tuple[float, float]], colour: str, marker: str, label: str) -> None:
     """Means with their intervals; an interval that reaches below half of the mean is cut there, for the logarithm."""
     values, halves = 1e3 * np.array(means_m).T
     spans = np.array([np.minimum(halves, 0.5 * values), halves])
@@ -408,16 +382,7 @@ def _draw_planes(figure: "Figure", replay: PaperReplay, names: Sequence[str] | N
     for axes, (i, j) in zip(planes, ((0, 1), (0, 2), (1, 2)), strict=True):
         axes.plot(ideal[closed, i], ideal[closed, j], "--", color=PLANNED, lw=1.6, label="ideal", zorder=3)
         if names is None:
-            _draw_actual(
-                axes,
-                ideal + 1e3 * replay.error_m(None),
-                closed,
-                i,
-                j,
-                BEFORE,
-                "o",
-                "actual, before calibration",
-            )
+            _draw_actual(axes, ideal + 1e3 * replay.error_m(None), closed, i, j, BEFORE, "o", "actual, before calibration")
         for k, name in enumerate(names or ()):
             actual = ideal + 20.0 * 1e3 * replay.error_m(name)
             _draw_actual(axes, actual, closed, i, j, SHOWN_COLOURS[k], "D^v"[k], f"{name}, error x 20")
@@ -427,9 +392,7 @@ def _draw_planes(figure: "Figure", replay: PaperReplay, names: Sequence[str] | N
     figure.legend(handles, labels, loc="upper right", bbox_to_anchor=(0.99, 1.0), ncols=4)
 
 
-def _draw_actual(
-    axes: "Axes", actual: np.ndarray, rows: list[int], i: int, j: int, colour: str, marker: str, label: str
-) -> None:
+def _draw_actual(axes: "Axes", actual: np.ndarray, rows: list[int], i: int, j: int, colour: str, marker: str, label: str) -> None:
     axes.plot(actual[rows, i], actual[rows, j], "-", marker=marker, ms=3.5, lw=1.1, color=colour, label=label)
 
 

@@ -171,9 +171,7 @@ def _geometry(found: PairFound) -> list[str]:
     return [one.parameter.name for one in found.estimates if one.parameter.has_bound]
 
 
-def _written(
-    cell: Cell, names: tuple[str, str], plan: planning.ContactPlan, found: PairFound, out: Path
-) -> Cell:
+def _written(cell: Cell, names: tuple[str, str], plan: planning.ContactPlan, found: PairFound, out: Path) -> Cell:
     """Both arms, pair.json and the calibrated cell as files; the cell as loaded from them."""
     folder, made = out / "pair", made_today(input_file(out / "contacts" / POINTS, "contacts"))
     folder.mkdir()
@@ -187,11 +185,7 @@ def _written(
 # What the two arms of the demo do: touch each other at planned contacts, and draw a circle relative to the other's tip.
 DETOUR_rad = 4.0  # what a way by the rest poses costs
 RADIUS_m = 0.05
-CENTRE_m = (
-    0.0,
-    -0.11,
-    0.0,
-)  # of the circle from the other tip, in the frame of the cell; it stands upright before that tip
+CENTRE_m = (0.0, -0.11, 0.0)  # of the circle from the other tip, in the frame of the cell; it stands upright before that tip
 WAYPOINTS = 16
 SAMPLE_s = 0.01
 TURNS = 20  # steps to the best turn
@@ -302,8 +296,7 @@ def write_page(outcome: PairOutcome, out: Path) -> Path:
 def findings(outcome: PairOutcome) -> tuple[str, ...]:
     """The result in sentences."""
     files, placed, calibrated = (
-        f"{_mean_mm(error_m):.2f} mm"
-        for error_m in (outcome.by_files_m, outcome.placed_m, outcome.calibrated_m)
+        f"{_mean_mm(error_m):.2f} mm" for error_m in (outcome.by_files_m, outcome.placed_m, outcome.calibrated_m)
     )
     before, after = (f"{_mean_mm(error_m):.2f} mm" for error_m in circle_errors_m(outcome))
     found = outcome.found
@@ -346,9 +339,7 @@ def _parts(outcome: PairOutcome) -> Iterator[Section | str]:
     )
     yield Section("A circle of the right tip beside the left one", path_picture(outcome.circle))
     yield Section("Both arms on one clock", svg((10.4, 3.6), lambda figure: _draw_motion(figure, outcome)))
-    yield Section(
-        "What stays open", bullets(f"{one}." for one in open_in_words(outcome.found.known.undetermined))
-    )
+    yield Section("What stays open", bullets(f"{one}." for one in open_in_words(outcome.found.known.undetermined)))
     for nominal, calibrated in zip(outcome.plan.arms, outcome.found.arms, strict=True):
         section = dh_section(nominal, calibrated)
         yield Section(f"{nominal.name}: {section.title}", section.html)
@@ -392,9 +383,7 @@ def _table(outcome: PairOutcome) -> str:
 def _draw_contacts(figure: Figure, outcome: PairOutcome) -> None:
     """Where the tips met, and both arms at the most valuable contact, from above and from the side."""
     figure.subplots_adjust(left=0.065, right=0.985, top=0.9, bottom=0.11, wspace=0.2)
-    for axes, (i, j, seen) in zip(
-        figure.subplots(1, 2), ((0, 1, "from above"), (0, 2, "from the side")), strict=True
-    ):
+    for axes, (i, j, seen) in zip(figure.subplots(1, 2), ((0, 1, "from above"), (0, 2, "from the side")), strict=True):
         for k, placed in enumerate(outcome.cell.arms):
             _draw_arm(axes, placed, (i, j), _joints(outcome, k)[0], ARM_COLOURS[k])
         first = outcome.cell.arms[0]
@@ -455,11 +444,6 @@ def _recorded(recordings: Path, name: str) -> tuple[Array, Array]:
     names = recording.layout.names
     joints = [names.index(f"q{joint}_rad") for joint in range(1, recording.layout.joint_count + 1)]
     middle = recording.row_count // 2
-    rows = np.array(
-        [
-            (row[names.index("t_s")], *(row[k] for k in joints))
-            for row in islice(recording.rows(), middle, None)
-        ]
-    )
+    rows = np.array([(row[names.index("t_s")], *(row[k] for k in joints)) for row in islice(recording.rows(), middle, None)])
     rows = rows[rows[:, 0] < rows[0, 0] + SHOWN_s]
     return rows[:, 0], rows[:, 1:]

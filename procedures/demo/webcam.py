@@ -25,14 +25,7 @@ from calib.vision.advice import advice
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
 from calib.vision.intrinsics import LensFit, fit_lens, write_camera
 from calib.vision.lens import Lens
-from calib.vision.poses import (
-    CORNERS_LEAST,
-    CameraPictures,
-    PoseSet,
-    measure_poses,
-    picture_name,
-    with_pictures,
-)
+from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_poses, picture_name, with_pictures
 from calib.vision.targets import Charuco, look_for, picture_files, png_of
 from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
@@ -50,9 +43,7 @@ ARM_PICTURES = 45
 WORKSPACE_POSES = 300
 CAMERA_m = np.array([1.1, 0.3, 0.45])  # in front of the arm, at the height of its elbow
 VIEW_m = np.array([0.35, 0.0, 0.4])
-MOUNT_rad = np.array(
-    [2.42, 0.5, -0.74]
-)  # how the board sits on the last link: towards the camera where the arm reaches forward
+MOUNT_rad = np.array([2.42, 0.5, -0.74])  # how the board sits on the last link: towards the camera where the arm reaches forward
 BOARD_OFF_m = np.array([0.012, -0.009, 0.02])  # where it really sits; the user's file says: at the tip
 LEAST_HEIGHT_m = 0.1
 NEAREST_m, FARTHEST_m = 0.35, 1.1
@@ -140,12 +131,7 @@ def _seen_poses(pictured: PicturedArm, arm: Arm, draw: np.random.Generator) -> A
         away = float(np.linalg.norm(place.position_m))
         is_above = pictured.last_link(q.tolist()).position_m[2] > LEAST_HEIGHT_m
         is_facing = place.rotation[:, 2] @ place.position_m > FACING * away
-        if (
-            is_above
-            and is_facing
-            and NEAREST_m < away < FARTHEST_m
-            and is_inside(pictured.webcam, BOARD, place)
-        ):
+        if is_above and is_facing and NEAREST_m < away < FARTHEST_m and is_inside(pictured.webcam, BOARD, place):
             found.append(q)
     return np.array(found)
 
@@ -167,9 +153,7 @@ def _drawn(arm: Arm, draw: np.random.Generator) -> Array:
     return np.asarray(draw.uniform(lower, upper))
 
 
-def photograph_board(
-    board: Charuco, webcam: Webcam, folder: Path, draw: np.random.Generator, advance: Advance = silent
-) -> None:
+def photograph_board(board: Charuco, webcam: Webcam, folder: Path, draw: np.random.Generator, advance: Advance = silent) -> None:
     """The board held before the camera: tilted to all sides, near and far, in all parts of the picture."""
     folder.mkdir(parents=True)
     grey = board.drawn(DOTS_A_METRE, MARGIN_m)
@@ -177,17 +161,13 @@ def photograph_board(
         advance("pictures of the board", 0.25 * k / LENS_PICTURES)
         away = draw.uniform(0.28, 0.6) * board.print_m[0] / BOARD.print_m[0]
         column, row = (k % 3 - 1) * 0.28, (k // 3 % 3 - 1) * 0.2
-        turn = rotation_of(np.array([*draw.uniform(-0.6, 0.6, 2), 0.0])) @ rotation_of(
-            np.array([0, 0, draw.uniform(-1.5, 1.5)])
-        )
+        turn = rotation_of(np.array([*draw.uniform(-0.6, 0.6, 2), 0.0])) @ rotation_of(np.array([0, 0, draw.uniform(-1.5, 1.5)]))
         place = np.array([column * away, row * away, away])
         sheet = PrintedSheet(grey, grey.shape[1] / DOTS_A_METRE, turn, place)
         write_whole(folder / f"board_{k:02d}.png", png_of(webcam.picture([sheet], draw)))
 
 
-def _photograph_arm(
-    pictured: PicturedArm, q: Array, out: Path, draw: np.random.Generator, advance: Advance
-) -> Points:
+def _photograph_arm(pictured: PicturedArm, q: Array, out: Path, draw: np.random.Generator, advance: Advance) -> Points:
     """One picture a pose, called as its point; joint_angles.csv has what the encoders said."""
     (out / "arm").mkdir(parents=True)
     names = [f"p{k:02d}" for k in range(len(q))]
@@ -200,9 +180,7 @@ def _photograph_arm(
     return points
 
 
-def _over_workspace(
-    pictured: PicturedArm, nominal: Arm, calibrated: Arm, draw: np.random.Generator
-) -> tuple[Array, Array]:
+def _over_workspace(pictured: PicturedArm, nominal: Arm, calibrated: Arm, draw: np.random.Generator) -> tuple[Array, Array]:
     """Errors (k,) of the target's place, before and after. Each arm is put where its targets fit the true ones best.
 
     Before: the nominal arm with the true place of the target on the last link.
@@ -211,9 +189,7 @@ def _over_workspace(
     true = np.array([pictured.last_link(pose).then(pictured.last_T_target).position_m for pose in q.tolist()])
     x, y, z = BOARD_OFF_m.tolist()
     mounted = dataclasses.replace(nominal, tool=Tool(position_m=(x, y, z)))
-    return _fitted(ForwardKinematics(mounted).tips(q), true), _fitted(
-        ForwardKinematics(calibrated).tips(q), true
-    )
+    return _fitted(ForwardKinematics(mounted).tips(q), true), _fitted(ForwardKinematics(calibrated).tips(q), true)
 
 
 def _fitted(predicted: Array, true: Array) -> Array:

@@ -34,14 +34,8 @@ LISTEN_S = 0.1
 HALF_A_TOOTH_rad = math.pi / 25
 ASKED = 50  # questions to a bought board, to see how fast it answers
 _RESETS = {
-    ResetCause.WATCHDOG: (
-        "its watchdog ended a program that hung",
-        "update its firmware; switch it off and on, and look again",
-    ),
-    ResetCause.LOW_SUPPLY: (
-        "its own supply broke down",
-        "check its 3.3 V, the cable, and what else hangs on that supply",
-    ),
+    ResetCause.WATCHDOG: ("its watchdog ended a program that hung", "update its firmware; switch it off and on, and look again"),
+    ResetCause.LOW_SUPPLY: ("its own supply broke down", "check its 3.3 V, the cable, and what else hangs on that supply"),
 }
 OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
 
@@ -80,12 +74,7 @@ def open_boards(arm: Arm, clock: Clock, period_s: float) -> AnsweringBoards:
     boards = AnsweringBoards()
     _open_bought(boards, arm, clock, period_s)
     if not arm.encoder_boards and any(drive.encoder_board >= 0 for drive in arm.drives):
-        boards.bad(
-            "encoder boards",
-            "arm.toml names none",
-            "",
-            "add [[encoder_board]] to arm.toml, or give --encoder",
-        )
+        boards.bad("encoder boards", "arm.toml names none", "", "add [[encoder_board]] to arm.toml, or give --encoder")
     for index, port in enumerate(arm.encoder_boards):
         _open_encoder(boards, arm, clock, index, port)
     if all(drive.board for drive in arm.drives) and arm.drives:
@@ -152,10 +141,15 @@ def _look_at_values(boards: AnsweringBoards, arm: Arm, opened: Opened) -> None:
     for joint, drive in enumerate(arm.drives):
         name = f"joint {drive.joint}"
         if joint in driven and (supply_V := feedback.supply_V[joint]) > 0.0:
-            boards.findings.append(graded(GROUP, f"{name}: supply", abs(supply_V / drive.supply_V - 1.0), SUPPLY_LIMITS, (
-                f"{supply_V:.1f} V", f"{drive.supply_V:g} V",
-                "check the supply, and `servo` or supply_V in arm.toml",
-            )))  # fmt: skip
+            boards.findings.append(
+                graded(
+                    GROUP,
+                    f"{name}: supply",
+                    abs(supply_V / drive.supply_V - 1.0),
+                    SUPPLY_LIMITS,
+                    (f"{supply_V:.1f} V", f"{drive.supply_V:g} V", "check the supply, and `servo` or supply_V in arm.toml"),
+                )
+            )
         repeats_rad = arm.unique_rad(drive)
         if joint not in counted or math.isinf(repeats_rad) or math.isinf(feedback.reported_at_s[joint]):
             continue
@@ -178,9 +172,7 @@ def _took_s(encoders: Encoders, clock: Clock) -> float:
     return clock.now_s() - begun_s
 
 
-def _open_encoder(
-    boards: AnsweringBoards, arm: Arm, clock: Clock, index: int, port: EncoderBoardPort
-) -> None:
+def _open_encoder(boards: AnsweringBoards, arm: Arm, clock: Clock, index: int, port: EncoderBoardPort) -> None:
     what = f'encoder board "{port.name}"'
     try:
         link = open_serial(port.port, port.baud)
@@ -209,12 +201,7 @@ def _open_encoder(
 
 
 def _compare_encoder(
-    boards: AnsweringBoards,
-    arm: Arm,
-    what: str,
-    index: int,
-    port: EncoderBoardPort,
-    identity: encoder_wire.Identity,
+    boards: AnsweringBoards, arm: Arm, what: str, index: int, port: EncoderBoardPort, identity: encoder_wire.Identity
 ) -> None:
     if port.serial_number not in (None, identity.serial_number):
         remedy = "swap the plugs, or correct [[encoder_board]] serial_number"
@@ -225,10 +212,7 @@ def _compare_encoder(
         if drive.encoder_channel >= identity.channels:
             remedy = f"correct encoder_channel of joint {drive.joint} (from 0)"
             boards.bad(
-                f"{what}: joint {drive.joint}",
-                f"{identity.channels} channels",
-                f"a channel {drive.encoder_channel}",
-                remedy,
+                f"{what}: joint {drive.joint}", f"{identity.channels} channels", f"a channel {drive.encoder_channel}", remedy
             )
             continue
         _same(boards, what, drive, "counts per turn", identity.counts_per_turn[drive.encoder_channel])
@@ -248,10 +232,7 @@ def _same(boards: AnsweringBoards, what: str, drive: Drive, name: str, found: in
         f"{what}: joint {drive.joint}, {name}",
         str(found),
         str(drive.encoder_counts_per_rev),
-        (
-            "correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the"
-            " true value"
-        ),
+        ("correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the true value"),
     )
 
 
@@ -302,9 +283,7 @@ def _open_bus(boards: AnsweringBoards, arm: Arm, clock: Clock) -> None:
         before = listen(counted, clock, LISTEN_S)
         found = scan_nodes(counted, clock)
     except LinkError as error:
-        boards.bad(
-            "CAN bus", str(error), "", "check adapter, termination (120 ohm at both ends) and bit rate"
-        )
+        boards.bad("CAN bus", str(error), "", "check adapter, termination (120 ohm at both ends) and bit rate")
         return
     _judge_bus(boards, arm, before, found)
     boards.bus = MotorBus(counted, clock)
@@ -322,10 +301,7 @@ def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusSca
             "CAN bus",
             f"another host commands node {nodes}",
             "one host per bus",
-            (
-                "end the other program (`armwright off --quit` ends a runtime); the doctor sends nothing to the boards"
-                " until then"
-            ),
+            ("end the other program (`armwright off --quit` ends a runtime); the doctor sends nothing to the boards until then"),
         )
     strangers = before.strangers + found.strangers
     if strangers:
@@ -365,9 +341,7 @@ def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan
     boards.ok(what, f"serial number {identity.serial_number}, firmware {firmware}")
     if drive.motor_serial_number not in (None, identity.serial_number):
         remedy = "two boards or node ids may be swapped: correct motor_node or motor_serial_number"
-        boards.bad(
-            f"{what}: serial number", str(identity.serial_number), str(drive.motor_serial_number), remedy
-        )
+        boards.bad(f"{what}: serial number", str(identity.serial_number), str(drive.motor_serial_number), remedy)
     if knows_motor(drive):
         _same(boards, what, drive.at_motor, "counts per turn", identity.encoder_counts_per_turn)
     _judge_reset(boards, what, board)
@@ -396,9 +370,7 @@ def _note_not_one(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusSca
         boards.bad(what, "does not answer", "an answer within 5 ms", remedy)
     else:
         both = " and ".join(map(str, serials))
-        boards.bad(
-            what, f"two boards answer: serial numbers {both}", "one", "give each board its own node id"
-        )
+        boards.bad(what, f"two boards answer: serial numbers {both}", "one", "give each board its own node id")
 
 
 # Samples some seconds of the loop's traffic with the drives off: reports, replies and their times.

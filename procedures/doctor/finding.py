@@ -31,9 +31,7 @@ class Finding:
 SUPPLY_LIMITS = (0.1, 0.25)  # of the nominal
 
 
-def graded(
-    group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]
-) -> Finding:
+def graded(group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]) -> Finding:
     """Grade a number: a warning above the first limit, bad above the second or if it is NaN.
 
     `words` are measured, expected and remedy.
@@ -50,9 +48,7 @@ def graded(
 
 def advised(is_well: bool, group: str, what: str, measured: str, expected: str, remedy: str) -> Finding:
     """A finding that is fine or worth a warning, never bad."""
-    return Finding(
-        Level.OK if is_well else Level.WARN, group, what, measured, expected, "" if is_well else remedy
-    )
+    return Finding(Level.OK if is_well else Level.WARN, group, what, measured, expected, "" if is_well else remedy)
 
 
 def worst(findings: Sequence[Finding]) -> Level:
@@ -70,9 +66,7 @@ def as_text(findings: Sequence[Finding]) -> str:
             group = finding.group
             lines.append(f"{group}")
         expected = f"  (expected {finding.expected})" if finding.expected else ""
-        lines.append(
-            f"  {finding.level.name.lower():<4}  {finding.what:<{width}}  {finding.measured}{expected}"
-        )
+        lines.append(f"  {finding.level.name.lower():<4}  {finding.what:<{width}}  {finding.measured}{expected}")
         if finding.remedy:
             lines.append(f"        {'':<{width}}  -> {finding.remedy}")
     return "\n".join(lines)
@@ -92,13 +86,7 @@ def verdict(findings: Sequence[Finding]) -> str:
 def as_json(arm: str, findings: Sequence[Finding]) -> dict[str, object]:
     """The same for another program."""
     rows = [{**asdict(finding), "level": finding.level.name.lower()} for finding in findings]
-    return {
-        "format": FORMAT,
-        "arm": arm,
-        "worst": worst(findings).name.lower(),
-        "verdict": verdict(findings),
-        "findings": rows,
-    }
+    return {"format": FORMAT, "arm": arm, "worst": worst(findings).name.lower(), "verdict": verdict(findings), "findings": rows}
 
 
 def percentile(values: Sequence[float], share: float) -> float:

@@ -47,14 +47,7 @@ def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Pa
     """Check rights, pauses and the disk."""
     remedy = punctuality_remedy()
     level = Level.WARN if remedy else Level.OK
-    rights = Finding(
-        level,
-        GROUP,
-        "real-time rights",
-        "not granted" if remedy else "granted",
-        "SCHED_FIFO, memlock",
-        remedy,
-    )
+    rights = Finding(level, GROUP, "real-time rights", "not granted" if remedy else "granted", "SCHED_FIFO, memlock", remedy)
     before = strain()
     late_s = lateness(MonotonicClock(), PAUSE_TEST_S)
     page_faults, switches = (now - was for now, was in zip(strain(), before, strict=True))
@@ -70,22 +63,38 @@ def look_at_host(period_s: float, watchdog_s: float, joints: int, log_folder: Pa
 
 def look_at_kernel(root: Path) -> list[Finding]:
     """Check what the kernel under `root` does about real time: frequency governors, preemption, limits of real-time tasks."""
-    governors = {
-        _text(file) for file in root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
-    }
+    governors = {_text(file) for file in root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")}
     slow = sorted(governors - {"performance", ""})
     is_realtime = _text(root / "sys/kernel/realtime") == "1"
     runtime_us = _text(root / "proc/sys/kernel/sched_rt_runtime_us")
     is_throttled = runtime_us not in ("-1", "")
     share = f"{int(runtime_us) / 1e4:.0f} % of each second" if is_throttled else "not throttled"
     return [
-        advised(not slow, GROUP, "frequency governor", ", ".join(slow) or "performance, or none", "performance",
-                 "`cpupower frequency-set -g performance`: a processor that slows down is late"),
-        advised(is_realtime, GROUP, "kernel", "PREEMPT_RT" if is_realtime else "without PREEMPT_RT", "PREEMPT_RT",
-                 "a kernel with PREEMPT_RT bounds the lateness of the loop; without, drivers may hold it up for milliseconds"),
-        advised(not is_throttled or int(runtime_us) >= LEAST_RT_us, GROUP, "real-time tasks", share, "90 % or more",
-                 "`sysctl kernel.sched_rt_runtime_us=950000`: below, the kernel stops the loop for the rest of each second"),
-    ]  # fmt: skip
+        advised(
+            not slow,
+            GROUP,
+            "frequency governor",
+            ", ".join(slow) or "performance, or none",
+            "performance",
+            "`cpupower frequency-set -g performance`: a processor that slows down is late",
+        ),
+        advised(
+            is_realtime,
+            GROUP,
+            "kernel",
+            "PREEMPT_RT" if is_realtime else "without PREEMPT_RT",
+            "PREEMPT_RT",
+            "a kernel with PREEMPT_RT bounds the lateness of the loop; without, drivers may hold it up for milliseconds",
+        ),
+        advised(
+            not is_throttled or int(runtime_us) >= LEAST_RT_us,
+            GROUP,
+            "real-time tasks",
+            share,
+            "90 % or more",
+            "`sysctl kernel.sched_rt_runtime_us=950000`: below, the kernel stops the loop for the rest of each second",
+        ),
+    ]
 
 
 def judge_strain(page_faults: int, switches: int) -> Finding:
@@ -93,9 +102,7 @@ def judge_strain(page_faults: int, switches: int) -> Finding:
     measured = f"{switches} involuntary switches, {page_faults} page faults"
     remedy = "end other programs; give the operator the rights above"
     is_calm = switches <= CALM_SWITCHES
-    return advised(
-        is_calm, GROUP, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy
-    )
+    return advised(is_calm, GROUP, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy)
 
 
 def _text(file: Path) -> str:
@@ -124,18 +131,24 @@ def judge_lateness(late_s: list[float], period_s: float, watchdog_s: float) -> l
     remedy = "end other programs, grant the rights above, turn power saving off (`powerprofilesctl set performance`)"
     return [
         graded(
-            GROUP, "timer lateness", p99, (0.5 * period_s, 5.0 * period_s),
+            GROUP,
+            "timer lateness",
+            p99,
+            (0.5 * period_s, 5.0 * period_s),
             (f"99 % within {1e3 * p99:.2f} ms", f"below {500 * period_s:.2g} ms", remedy),
         ),
         graded(
-            GROUP, "longest pause of this host", longest, (0.25 * watchdog_s, 0.9 * watchdog_s),
+            GROUP,
+            "longest pause of this host",
+            longest,
+            (0.25 * watchdog_s, 0.9 * watchdog_s),
             (
                 f"{1e3 * longest:.1f} ms in {len(late_s) * TICK_S:.1f} s",
                 f"below {250 * watchdog_s:.0f} ms; the boards' watchdog trips after {1e3 * watchdog_s:.0f} ms",
                 remedy + "; such a pause trips the boards' watchdog",
             ),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
@@ -151,7 +164,10 @@ def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
     room_s = PIPE_bytes / rate_bytes_s
     return [
         graded(
-            GROUP, "disk speed", rate_bytes_s / speed_bytes_s, (0.2, 0.8),
+            GROUP,
+            "disk speed",
+            rate_bytes_s / speed_bytes_s,
+            (0.2, 0.8),
             (
                 f"{speed_bytes_s / 1e6:.0f} MB/s in {place}",
                 f"{rate_bytes_s / 1e6:.2g} MB/s for the recording, with a margin of five",
@@ -159,14 +175,20 @@ def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
             ),
         ),
         graded(
-            GROUP, "longest stall of the disk", stall_s, (0.25 * room_s, room_s),
+            GROUP,
+            "longest stall of the disk",
+            stall_s,
+            (0.25 * room_s, room_s),
             (f"{1e3 * stall_s:.0f} ms", f"below {room_s:.1f} s, the recorder's buffer", "record to another disk"),
         ),
         graded(
-            GROUP, "space for recordings", 1.0 / max(free_hours, 1e-9), (1.0 / LEAST_FREE_HOURS, 10.0),
+            GROUP,
+            "space for recordings",
+            1.0 / max(free_hours, 1e-9),
+            (1.0 / LEAST_FREE_HOURS, 10.0),
             (f"{free_hours:.0f} hours", f"more than {LEAST_FREE_HOURS:g} hours", "free some space, or record to another disk"),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _existing(folder: Path) -> Path:
@@ -255,9 +277,13 @@ def judge_serial(what: str, path: str, here: list[PortHere], root: Path) -> Iter
     stable = next((port.stable for port in here if port.path == path), "")
     if stable:
         yield Finding(
-            Level.WARN, PORTS, f"{what}: name of its port", path, "a name that stays",
+            Level.WARN,
+            PORTS,
+            f"{what}: name of its port",
+            path,
+            "a name that stays",
             f'the system may number ports anew: write port = "{stable}" in arm.toml',
-        )  # fmt: skip
+        )
     lower_latency(path, root)
     if (file := latency_file(path, root)) is not None:
         latency_ms = file.read_text().strip()
@@ -267,9 +293,13 @@ def judge_serial(what: str, path: str, here: list[PortHere], root: Path) -> Iter
             " control/server/system/99-armwright.rules"
         )
         yield Finding(
-            Level.OK if is_low else Level.WARN, PORTS, f"{what}: latency timer of its adapter", f"{latency_ms} ms",
-            f"{LATENCY_ms} ms", "" if is_low else remedy,
-        )  # fmt: skip
+            Level.OK if is_low else Level.WARN,
+            PORTS,
+            f"{what}: latency timer of its adapter",
+            f"{latency_ms} ms",
+            f"{LATENCY_ms} ms",
+            "" if is_low else remedy,
+        )
 
 
 def judge_can(can: CanBus, details: Details, needs_fd: bool = False) -> Iterator[Finding]:
@@ -286,9 +316,7 @@ def judge_can(can: CanBus, details: Details, needs_fd: bool = False) -> Iterator
         yield from _judge_socketcan(what, can, details(can.channel), needs_fd)
 
 
-def _judge_socketcan(
-    what: str, can: CanBus, found: Mapping[str, Any] | None, needs_fd: bool
-) -> Iterator[Finding]:
+def _judge_socketcan(what: str, can: CanBus, found: Mapping[str, Any] | None, needs_fd: bool) -> Iterator[Finding]:
     """`found` is what `ip -details -json link show` says of it; None where the machine has no such interface or no ip."""
     data_phase = "dbitrate 5000000 fd on " if needs_fd else ""
     up = f"ip link set {can.channel} up type can bitrate {can.bitrate} {data_phase}restart-ms 100"
@@ -304,9 +332,7 @@ def _judge_socketcan(
     if not is_up or state in ("BUS-OFF", "STOPPED"):
         yield Finding(Level.BAD, PORTS, what, measured, "up, error-active", again)
     elif state in ("ERROR-PASSIVE", "ERROR-WARNING"):
-        remedy = (
-            "frames fail: check termination (120 ohm at both ends), wiring, supply of the boards, bit rate"
-        )
+        remedy = "frames fail: check termination (120 ohm at both ends), wiring, supply of the boards, bit rate"
         yield Finding(Level.WARN, PORTS, what, measured, "error-active", remedy)
     else:
         yield Finding(Level.OK, PORTS, what, measured)
@@ -319,9 +345,7 @@ def _judge_socketcan(
         yield Finding(Level.WARN, PORTS, f"{what}: restart after bus-off", "never", "100 ms", remedy)
     if (queue := int(found.get("txqlen", LEAST_QUEUE))) < LEAST_QUEUE:
         remedy = f"`ip link set {can.channel} txqueuelen 100`"
-        yield Finding(
-            Level.WARN, PORTS, f"{what}: transmit queue", f"{queue} frames", f"{LEAST_QUEUE}", remedy
-        )
+        yield Finding(Level.WARN, PORTS, f"{what}: transmit queue", f"{queue} frames", f"{LEAST_QUEUE}", remedy)
 
 
 def kernel_details(channel: str) -> Mapping[str, Any] | None:
@@ -330,9 +354,8 @@ def kernel_details(channel: str) -> Mapping[str, Any] | None:
         return None
     try:
         said = subprocess.run(
-            ["ip", "-details", "-json", "link", "show", channel],
-            capture_output=True, text=True, timeout=_ASK_LIMIT_S, check=True,
-        ).stdout  # fmt: skip
+            ["ip", "-details", "-json", "link", "show", channel], capture_output=True, text=True, timeout=_ASK_LIMIT_S, check=True
+        ).stdout
         entries = json.loads(said)
     except (OSError, subprocess.SubprocessError, ValueError):
         return {}
@@ -383,23 +406,33 @@ def _judged(name: str, columns: NDArray[np.float64], period_s: float) -> list[Fi
     per_s = float(switches.sum()) / duration_s
     return [
         graded(
-            LAST_RECORDING, "age of the counts", p99, (AGE_MOST * period_s, 5.0 * period_s),
+            LAST_RECORDING,
+            "age of the counts",
+            p99,
+            (AGE_MOST * period_s, 5.0 * period_s),
             (
-                f"{1e3 * p50:.2f} ms, 99 % below {1e3 * p99:.2f} ms, in {name}", f"99 % below {1e3 * AGE_MOST * period_s:.2g} ms",
+                f"{1e3 * p50:.2f} ms, 99 % below {1e3 * p99:.2f} ms, in {name}",
+                f"99 % below {1e3 * AGE_MOST * period_s:.2g} ms",
                 "look at the lateness below, and at the latency timer of the serial port",
             ),
         ),
         graded(
-            LAST_RECORDING, "lateness of the loop", late_p99, (0.5 * period_s, 5.0 * period_s),
+            LAST_RECORDING,
+            "lateness of the loop",
+            late_p99,
+            (0.5 * period_s, 5.0 * period_s),
             (
                 f"99 % within {1e3 * late_p99:.2f} ms, {missed[-1] - missed[0]:.0f} cycles missed in {duration_s:.0f} s",
-                f"below {500 * period_s:.2g} ms", "give the operator the real-time rights (see host)",
+                f"below {500 * period_s:.2g} ms",
+                "give the operator the real-time rights (see host)",
             ),
         ),
         advised(
-            per_s <= CALM_PER_s, LAST_RECORDING, "what took its time",
+            per_s <= CALM_PER_s,
+            LAST_RECORDING,
+            "what took its time",
             f"{switches.sum():.0f} involuntary switches, {page_faults.sum():.0f} page faults",
             f"at most {CALM_PER_s:.0f} switches a second",
             "end other programs; give the operator the real-time rights (see host)",
         ),
-    ]  # fmt: skip
+    ]

@@ -25,9 +25,7 @@ MOST_NAMED = 3  # number of board messages shown
 def judge(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
     """Return all findings: boards, then buses, then signals."""
     for index, encoder in samples.encoders.items():
-        yield from _encoder_timing(
-            f'encoder board "{arm.encoder_boards[index].name}"', encoder, samples, arm, index
-        )
+        yield from _encoder_timing(f'encoder board "{arm.encoder_boards[index].name}"', encoder, samples, arm, index)
     for joint, motor in samples.motors.items():
         yield from _reply_timing(f"motor board of joint {joint}", motor, samples)
     yield from _buses(samples, arm)
@@ -53,14 +51,10 @@ def judge(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
         yield Finding(Level.BAD, "signals", "a board reported a problem", problem, "", "fix this first")
 
 
-def _encoder_timing(
-    what: str, found: EncoderSamples, samples: BoardSamples, arm: Arm, index: int
-) -> Iterator[Finding]:
+def _encoder_timing(what: str, found: EncoderSamples, samples: BoardSamples, arm: Arm, index: int) -> Iterator[Finding]:
     if len(found.latched_s) < 10:
         text = f"{found.reports} in {samples.duration_s:.1f} s"
-        yield Finding(
-            Level.BAD, "timing", f"{what}: reports", text, "a stream", "check supply, cable and baud rate"
-        )
+        yield Finding(Level.BAD, "timing", f"{what}: reports", text, "a stream", "check supply, cable and baud rate")
         return
     spans = [b - a for a, b in zip(found.latched_s, found.latched_s[1:], strict=False)]
     period_s = min(median(spans), samples.period_s)
@@ -70,53 +64,63 @@ def _encoder_timing(
     rate_Hz = found.reports / samples.duration_s
     missing = abs(1.0 - found.reports / wanted)
     yield graded(
-        "timing", f"{what}: report rate", missing, (0.01, 0.05),
+        "timing",
+        f"{what}: report rate",
+        missing,
+        (0.01, 0.05),
         (f"{rate_Hz:.1f} Hz", f"{wanted / samples.duration_s:.0f} Hz", "check for bad frames, and the load of this host"),
-    )  # fmt: skip
+    )
     yield from _lost(what, found)
     yield from _encoder_clock(what, found, samples, arm.limits.stale_s)
     baud = arm.encoder_boards[index].baud
     load = wire.REPORT_WIRE_BYTES * 10 / baud / period_s
     yield graded(
-        "timing", f"{what}: load of its serial line", load, (0.9, 1.0),
+        "timing",
+        f"{what}: load of its serial line",
+        load,
+        (0.9, 1.0),
         (f"{load:.0%} of {baud} baud", "below 90 %", "choose a higher baud rate, or a lower --rate"),
-    )  # fmt: skip
+    )
 
 
-def _encoder_clock(
-    what: str, found: EncoderSamples, samples: BoardSamples, stale_s: float
-) -> Iterator[Finding]:
+def _encoder_clock(what: str, found: EncoderSamples, samples: BoardSamples, stale_s: float) -> Iterator[Finding]:
     drift_ppm, sd_ppm, residual_s = clock_drift(found.latched_s, found.arrived_s)
     sd_ppm = math.hypot(sd_ppm, 1e6 * samples.resolution_s / samples.duration_s)
     yield graded(
-        "timing", f"{what}: clock drift against this host", max(0.0, abs(drift_ppm) - 2.0 * sd_ppm), CLOCK_LIMITS_ppm,
+        "timing",
+        f"{what}: clock drift against this host",
+        max(0.0, abs(drift_ppm) - 2.0 * sd_ppm),
+        CLOCK_LIMITS_ppm,
         (
-            f"{drift_ppm:+.0f} ppm, sd {sd_ppm:.0f}", f"within {CLOCK_LIMITS_ppm[0]:.0f} ppm",
-            (
-                "measured speeds are wrong by as much: check the board's oscillator, and whether this host's clock was"
-                " adjusted"
-            ),
+            f"{drift_ppm:+.0f} ppm, sd {sd_ppm:.0f}",
+            f"within {CLOCK_LIMITS_ppm[0]:.0f} ppm",
+            ("measured speeds are wrong by as much: check the board's oscillator, and whether this host's clock was adjusted"),
         ),
-    )  # fmt: skip
-    late_s = percentile(residual_s, 0.99)
-    remedy = (
-        "set latency_timer = 1 on an FTDI adapter (/sys/bus/usb-serial/devices/*/latency_timer); avoid a hub"
     )
+    late_s = percentile(residual_s, 0.99)
+    remedy = "set latency_timer = 1 on an FTDI adapter (/sys/bus/usb-serial/devices/*/latency_timer); avoid a hub"
     yield graded(
-        "timing", f"{what}: jitter of reports", late_s, (samples.period_s, stale_s),
+        "timing",
+        f"{what}: jitter of reports",
+        late_s,
+        (samples.period_s, stale_s),
         (f"99 % within {1e3 * late_s:.2f} ms", f"below {1e3 * samples.period_s:.2g} ms", remedy),
-    )  # fmt: skip
+    )
 
 
 def _lost(what: str, found: EncoderSamples) -> Iterator[Finding]:
     total = found.reports + found.lost
     yield graded(
-        "timing", f"{what}: frames lost or broken", max(found.lost, found.bad_frames) / max(total, 1), LOST_LIMITS,
+        "timing",
+        f"{what}: frames lost or broken",
+        max(found.lost, found.bad_frames) / max(total, 1),
+        LOST_LIMITS,
         (
-            f"{found.lost} lost, {found.bad_frames} with a bad CRC, of {total}", "none",
+            f"{found.lost} lost, {found.bad_frames} with a bad CRC, of {total}",
+            "none",
             "check the cable, shield and ground; route the cable away from the motor cables",
         ),
-    )  # fmt: skip
+    )
 
 
 def clock_drift(latched_s: list[float], arrived_s: list[float]) -> tuple[float, float, list[float]]:
@@ -142,19 +146,25 @@ def _reply_timing(what: str, found: MotorSamples, samples: BoardSamples) -> Iter
     missing = 1.0 - found.replies / found.commands
     # The reply to the last command may still be pending.
     yield graded(
-        "timing", f"{what}: replies", max(0.0, missing - 1.0 / found.commands), LOST_LIMITS,
+        "timing",
+        f"{what}: replies",
+        max(0.0, missing - 1.0 / found.commands),
+        LOST_LIMITS,
         (f"{found.replies} to {found.commands} commands", "one for each", "check CAN cable and termination"),
-    )  # fmt: skip
+    )
     p99 = percentile(found.latency_s, 0.99)
     middle = 1e3 * median(found.latency_s) if found.latency_s else math.nan
     yield graded(
-        "timing", f"{what}: latency of replies", p99, (samples.period_s, 5.0 * samples.period_s),
+        "timing",
+        f"{what}: latency of replies",
+        p99,
+        (samples.period_s, 5.0 * samples.period_s),
         (
             f"{middle:.2f} ms, 99 % within {1e3 * p99:.2f} ms",
             f"within {1e3 * REPLY_S:g} ms and the host's own lateness",
             "check the CAN adapter (USB hubs, slcan at a low baud rate) and the load of this host",
         ),
-    )  # fmt: skip
+    )
 
 
 def _buses(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
@@ -165,12 +175,16 @@ def _buses(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
     measured = samples.can_frames * FRAME_bits / arm.can.bitrate / samples.duration_s
     load = max(computed, measured)
     yield graded(
-        "timing", "CAN bus load", load, (0.7, 0.9),
+        "timing",
+        "CAN bus load",
+        load,
+        (0.7, 0.9),
         (
-            f"{measured:.0%} measured, {computed:.0%} computed at {1.0 / samples.period_s:.0f} Hz", "below 70 %",
+            f"{measured:.0%} measured, {computed:.0%} computed at {1.0 / samples.period_s:.0f} Hz",
+            "below 70 %",
             "choose a lower --rate or a higher bit rate, and remove other devices from the bus",
         ),
-    )  # fmt: skip
+    )
 
 
 def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
@@ -179,9 +193,7 @@ def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
     if at >= len(found.flags):
         return
     if found.flags[at] & SIGNAL_LOST:
-        yield Finding(
-            Level.BAD, group, what, "its signal is lost", "a signal", "check the encoder's cable and plug"
-        )
+        yield Finding(Level.BAD, group, what, "its signal is lost", "a signal", "check the encoder's cable and plug")
         return
     if found.flags[at] & QUADRATURE_ERROR:
         remedy = "check the encoder's cable, shield and supply; then home again"
@@ -190,20 +202,27 @@ def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
     spread = max(counts) - min(counts)
     if spread > MOVED_counts:
         yield Finding(
-            Level.WARN, group, what, f"it moved by {spread} counts", "an arm at rest",
+            Level.WARN,
+            group,
+            what,
+            f"it moved by {spread} counts",
+            "an arm at rest",
             "let the arm rest on its support and run again; noise cannot be measured on a moving joint",
-        )  # fmt: skip
+        )
         return
     noise = pstdev(counts)
     homed = "homed" if found.zero_set[at] else "not homed yet"
     yield graded(
-        group, what, noise, NOISE_LIMITS_counts,
+        group,
+        what,
+        noise,
+        NOISE_LIMITS_counts,
         (
             f"noise {noise:.2f} counts at rest, {spread} peak to peak; {homed}",
             f"below {NOISE_LIMITS_counts[0]:g} count",
             "check shield and ground of the encoder's cable",
         ),
-    )  # fmt: skip
+    )
 
 
 def _has_moved(drive: Drive, found: EncoderSamples | None) -> bool:
@@ -220,13 +239,16 @@ def _current(drive: Drive, found: MotorSamples) -> Finding:
     offset_A, noise_A = fmean(found.current_A), pstdev(found.current_A)
     # The larger of the two is graded: either is an unwanted current.
     return graded(
-        "signals", f"{joint}: current with the drive off", max(abs(offset_A), noise_A) / limit_A, OFFSET_LIMITS,
+        "signals",
+        f"{joint}: current with the drive off",
+        max(abs(offset_A), noise_A) / limit_A,
+        OFFSET_LIMITS,
         (
             f"{1e3 * offset_A:+.0f} mA, noise {1e3 * noise_A:.0f} mA",
             f"within {OFFSET_LIMITS[0] * limit_A * 1e3:.0f} mA",
             "let the board measure its offset again; check its supply for ripple",
         ),
-    )  # fmt: skip
+    )
 
 
 def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
@@ -234,17 +256,27 @@ def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
     supply_V = fmean(found.supply_V)
     remedy = "check the supply, its fuse and the emergency stop, or correct supply_V in arm.toml"
     yield graded(
-        "signals", f"{joint}: supply", abs(supply_V / drive.supply_V - 1.0), SUPPLY_LIMITS,
+        "signals",
+        f"{joint}: supply",
+        abs(supply_V / drive.supply_V - 1.0),
+        SUPPLY_LIMITS,
         (f"{supply_V:.2f} V", f"{drive.supply_V:g} V", remedy),
-    )  # fmt: skip
+    )
     hottest = max(found.temperature_degC)
     yield graded(
-        "signals", f"{joint}: power stage", hottest, TEMPERATURE_LIMITS_degC,
+        "signals",
+        f"{joint}: power stage",
+        hottest,
+        TEMPERATURE_LIMITS_degC,
         (f"{hottest:.0f} degC", f"below {TEMPERATURE_LIMITS_degC[0]:.0f} degC", "let it cool; check the fan and the load"),
-    )  # fmt: skip
+    )
     for bit, (name, cure) in DRIVE_FAULTS.items():
         if found.faults >> bit & 1:
             yield Finding(
-                Level.BAD, "signals", f"{joint}: drive", f"reports a fault: {name}", "none",
+                Level.BAD,
+                "signals",
+                f"{joint}: drive",
+                f"reports a fault: {name}",
+                "none",
                 f"{cure}; then `armwright acknowledge`",
-            )  # fmt: skip
+            )

@@ -44,9 +44,14 @@ SAGGED_V = 14.4  # of 24
 # What is found of each kind when `serve` starts again, and how that is refused; "" where the connection serves it, too. Registers
 # of servos: firmware of a Dynamixel without a bus watchdog; low byte of the model of a Feetech HLS, another series.
 REFUSED = {
-    "dynamixel": "expected firmware 38", "feetech": "expected an STS", "odrive": "expected firmware 0.6, it is 0.5",
-    "cia402": "", "moteus": "", "vesc": "", "roboclaw": "",
-}  # fmt: skip
+    "dynamixel": "expected firmware 38",
+    "feetech": "expected an STS",
+    "odrive": "expected firmware 0.6, it is 0.5",
+    "cia402": "",
+    "moteus": "",
+    "vesc": "",
+    "roboclaw": "",
+}
 SERVO_REGISTERS = {"dynamixel": (6, 36), "feetech": (3, 10)}
 CYCLE_TIME = 0x60C2
 MODE, EXTENDED_POSITION = 11, 4
@@ -66,10 +71,7 @@ LANDS_S = 20.0
 ASKED_AFTER_S = 0.004  # of `enable`: its drives are on their way
 AWAY_S = 1.0  # longer than any board's time-out
 LOOKED_AROUND_S = 1.0  # by a person who finds the arm held
-UP_rad, DOWN_rad = (
-    (-0.6, 0.2, 0.2),
-    (-0.6, -1.0, 0.0),
-)  # the tip goes up, and down, from where every drill begins
+UP_rad, DOWN_rad = ((-0.6, 0.2, 0.2), (-0.6, -1.0, 0.0))  # the tip goes up, and down, from where every drill begins
 RAISED_m = 0.1  # of the floor over the tip
 
 
@@ -89,32 +91,45 @@ class BoardsDrill(drill.Promise):
             way = played.way  # from what befell it on
             begun_s, before = way[0]
             return drill.DrillOutcome(
-                self, max(dist(before, tip) for _, tip in way) * 1e3, drill.length_m(way) * 1e3,
-                None if played.noticed_s is None else played.noticed_s - begun_s, drill.stood_s(way, begun_s, drill.LOOKED),
-                "nothing", played.found, played.message, 0.0, wrong,
-            )  # fmt: skip
+                self,
+                max(dist(before, tip) for _, tip in way) * 1e3,
+                drill.length_m(way) * 1e3,
+                None if played.noticed_s is None else played.noticed_s - begun_s,
+                drill.stood_s(way, begun_s, drill.LOOKED),
+                "nothing",
+                played.found,
+                played.message,
+                0.0,
+                wrong,
+            )
 
     @classmethod
     def all(cls) -> Iterator["BoardsDrill"]:
         """The drills, each on every kind of boards that it befalls."""
         lost, own, sagged, silent, moved = (
             frozenset(codes.split())
-            for codes in (
-                "drive_left link",
-                "drive_fault",
-                "drive_fault supply",
-                "drive_silent",
-                "encoder_contradicted",
-            )
+            for codes in ("drive_left link", "drive_fault", "drive_fault supply", "drive_silent", "encoder_contradicted")
         )
         for name, says, codes, most_mm, act, kinds in (
             ("off-at-once", "off pressed 4 ms after enable", drill.GOES_ON, FALLS_mm, off_at_once, HOLDING),
             ("restarted", "loop killed while it holds the arm, another started", drill.GOES_ON, HELD_mm, restarted, HOLDING),
-            ("restarted-at-once", "another loop started before the time-out of any board", drill.GOES_ON, HELD_mm,
-             restarted_at_once, HOLDING),
+            (
+                "restarted-at-once",
+                "another loop started before the time-out of any board",
+                drill.GOES_ON,
+                HELD_mm,
+                restarted_at_once,
+                HOLDING,
+            ),
             ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, HOLDING),
-            ("torque-in-off", "another program switches a drive on while the arm is off", drill.GOES_ON, FALLS_mm, torque_in_off,
-             HOLDING),
+            (
+                "torque-in-off",
+                "another program switches a drive on while the arm is off",
+                drill.GOES_ON,
+                FALLS_mm,
+                torque_in_off,
+                HOLDING,
+            ),
             ("turn-off", "encoder 1 reads a turn too much", drill.GOES_ON, FALLS_mm, a_turn_off, ("dynamixel", "odrive")),
             ("below-floor", "moves of an arm that stands below the floor", drill.GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
             ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, HOLDING_ON),
@@ -126,11 +141,17 @@ class BoardsDrill(drill.Promise):
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", drill.GOES_ON, STOPS_mm, host_gone, HOLDING),
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", drill.GOES_ON, SINKS_mm, host_gone, BRAKING),
             ("restarted", "loop killed while it holds the arm, another started", drill.GOES_ON, SINKS_mm, restarted, BRAKING),
-            ("torque-in-hold", "another program commands a drive of a held arm now and then", moved, SINKS_mm, torque_in_hold,
-             BRAKING),
+            (
+                "torque-in-hold",
+                "another program commands a drive of a held arm now and then",
+                moved,
+                SINKS_mm,
+                torque_in_hold,
+                BRAKING,
+            ),
             ("old-firmware", "other firmware is found when serve starts again", drill.GOES_ON, HELD_mm, old_firmware, HOLDING),
             ("old-firmware", "other firmware is found when serve starts again", drill.GOES_ON, SINKS_mm, old_firmware, BRAKING),
-        ):  # fmt: skip
+        ):
             for kind in kinds:
                 yield cls(f"{name}-{kind}", f"{says}, on {kind}", drill.REST, codes, 0.1, most_mm, kind, act)
 
@@ -358,9 +379,7 @@ def _make_older(played: drill.Stage, kind: str) -> None:
                 for sub in range(3):
                     mock.objects.pop((CYCLE_TIME, sub), None)
             case MoteusMock():
-                mock.setup = replace(
-                    mock.setup, unknown=(moteus.Register.AUX1_INPUTS, moteus.Register.FIRMWARE)
-                )
+                mock.setup = replace(mock.setup, unknown=(moteus.Register.AUX1_INPUTS, moteus.Register.FIRMWARE))
             case OdriveMock():
                 mock.setup = replace(mock.setup, is_firmware_5=True)
             case VescMock():

@@ -287,13 +287,9 @@ HOLDS = Most(5.0, 8.0, 15.0)
 BRAKES = Most(80.0, 80.0, 80.0)  # shorted windings let a stretched arm sink by as much in the two seconds
 YIELDS = Most(60.0, 60.0, 60.0)  # a motion that is held back: what the other joints have done by then
 FALLS = Most(900.0, 900.0, 900.0)  # an open circuit holds nothing: docs/motor_board.md, faults
-RELEASED_mm = (
-    120.0  # while it measures, a hand holds the tip of an arm whose drives are off; let go, it sinks
-)
+RELEASED_mm = 120.0  # while it measures, a hand holds the tip of an arm whose drives are off; let go, it sinks
 LYING = "encoder_contradicted"
-ALSO_MEASURING = frozenset(
-    {"serial-gone", "motor-silent", "encoder-reset", "jump-5000", "pause-100", "killed"}
-)
+ALSO_MEASURING = frozenset({"serial-gone", "motor-silent", "encoder-reset", "jump-5000", "pause-100", "killed"})
 RESISTED = "unexplained_torque following_error"
 
 
@@ -355,20 +351,19 @@ def _buses() -> Iterator[Promise]:
 
 def _boards() -> Iterator[Promise]:
     yield from _each(
-        "encoder-reset", "encoder board restarts", fault("board_reset", "encoder"), "link",
-        during=(REST, MOVE, HOME, SESSION),
-    )  # fmt: skip
+        "encoder-reset", "encoder board restarts", fault("board_reset", "encoder"), "link", during=(REST, MOVE, HOME, SESSION)
+    )
+    yield from _each("motor-reset", "motor board 2 restarts", fault("board_reset", "motor2"), "drive_left", most=BRAKES)
     yield from _each(
-        "motor-reset", "motor board 2 restarts", fault("board_reset", "motor2"), "drive_left", most=BRAKES
+        "encoder-silent",
+        "encoder board unplugged",
+        fault("silent", "encoder"),
+        "encoder_stale",
+        during=(REST, MOVE, HOME, SESSION),
     )
     yield from _each(
-        "encoder-silent", "encoder board unplugged", fault("silent", "encoder"), "encoder_stale",
-        during=(REST, MOVE, HOME, SESSION),
-    )  # fmt: skip
-    yield from _each(
-        "motor-silent", "motor board 2 unplugged", fault("silent", "motor2"), "drive_silent",
-        during=(REST, MOVE, HOME, SESSION),
-    )  # fmt: skip
+        "motor-silent", "motor board 2 unplugged", fault("silent", "motor2"), "drive_silent", during=(REST, MOVE, HOME, SESSION)
+    )
     for board, most in (("encoder", HOLDS), ("motor2", BRAKES)):
         swapped = both(fault("board_reset", board), fault("wrong_identity", board, value=4711))
         name, says = f"{board.rstrip('2')}-swapped", f"another {board.rstrip('2')} board is plugged in"
@@ -399,14 +394,10 @@ def _encoders() -> Iterator[Promise]:
     for rate in (2_000.0, 20_000.0):
         name, says = f"drift-{rate:.0f}", f"counts of joint 1 drift by {rate:,.0f} a second"
         inject = fault("drifting_encoder", "encoder", channel=0, value=rate)
-        yield from _each(
-            name, says, inject, "encoder_contradicted encoders_differ index_off", 1.0, most=BRAKES
-        )
+        yield from _each(name, says, inject, "encoder_contradicted encoders_differ index_off", 1.0, most=BRAKES)
     for counts, code in ((400.0, "overspeed"), (5_000.0, "encoder_leap")):
         inject = fault("jumping_encoder", "encoder", channel=0, value=counts)
-        yield from _each(
-            f"jump-{counts:.0f}", f"{counts:,.0f} counts gained at once", inject, code, most=BRAKES
-        )
+        yield from _each(f"jump-{counts:.0f}", f"{counts:,.0f} counts gained at once", inject, code, most=BRAKES)
     moving = (MOVE, SESSION)
     inject = fault("slipped_encoder", "encoder", channel=0, value=5_000.0)
     says = "encoder 1 slips on its shaft by 5,000 counts, with its index"
@@ -417,11 +408,17 @@ def _encoders() -> Iterator[Promise]:
     yield from _each("counts-stuck", says, inject, either, most=BRAKES, during=moving)
     inject = fault("backwards_encoder", "encoder", channel=0)
     yield from _each("backwards", "joint 1 counts backwards", inject, LYING, most=BRAKES, during=moving)
-    yield Drill("wrap-motion", "the counter of joint 1 wraps in its travel (16 bits)", MOVE, GOES_ON,
-                most_mm=3.0, arm=_narrow)  # fmt: skip
+    yield Drill("wrap-motion", "the counter of joint 1 wraps in its travel (16 bits)", MOVE, GOES_ON, most_mm=3.0, arm=_narrow)
     inject = fault("silent", "encoder")
-    yield Drill("unseen-motion", "encoder board with 16-bit counters unplugged for 2 s", MOVE, frozenset({"encoder_stale"}),
-                most_mm=HOLDS.move_mm, inject=inject, arm=_narrow)  # fmt: skip
+    yield Drill(
+        "unseen-motion",
+        "encoder board with 16-bit counters unplugged for 2 s",
+        MOVE,
+        frozenset({"encoder_stale"}),
+        most_mm=HOLDS.move_mm,
+        inject=inject,
+        arm=_narrow,
+    )
 
 
 def _two_encoders() -> Iterator[Promise]:
@@ -432,10 +429,14 @@ def _two_encoders() -> Iterator[Promise]:
     for drill in (
         *_each("joint-encoder-slips", says, slips, "encoders_differ", 0.8, BRAKES, (REST, MOVE)),
         *_each(
-            "motor-encoder-stuck", "counts of motor 1 stand, those on the joint do not", stands, "encoders_differ",
-            most=BRAKES, during=(MOVE,),
+            "motor-encoder-stuck",
+            "counts of motor 1 stand, those on the joint do not",
+            stands,
+            "encoders_differ",
+            most=BRAKES,
+            during=(MOVE,),
         ),
-    ):  # fmt: skip
+    ):
         assert isinstance(drill, Drill)
         yield replace(drill, arm=_on_both_sides)
 
@@ -445,7 +446,7 @@ def _on_both_sides(arm: Arm) -> Arm:
     first = arm.drives[0]
     both_sides = replace(
         first, encoder_on="joint", encoder_counts_per_rev=JOINT_COUNTS, motor_counts_per_rev=first.encoder_counts_per_rev
-    )  # fmt: skip
+    )
     return replace(arm, drives=(both_sides, *arm.drives[1:]))
 
 
@@ -455,8 +456,9 @@ def _limit_switches() -> Iterator[Promise]:
         ("limit-switch", "the limit switch ahead of joint 1 is met, or its wire breaks", "high"),
         ("limit-switch-crossed", "the same, wired to the other end", "low"),
     ):
-        yield Drill(f"{name}-motion", says, MOVE, frozenset({"limit_switch"}), most_mm=2.0,
-                    inject=_pressed(pin), arm=_with_limit_switches)  # fmt: skip
+        yield Drill(
+            f"{name}-motion", says, MOVE, frozenset({"limit_switch"}), most_mm=2.0, inject=_pressed(pin), arm=_with_limit_switches
+        )
 
 
 def _with_limit_switches(arm: Arm) -> Arm:
@@ -480,11 +482,10 @@ def _narrow(arm: Arm) -> Arm:
 
 
 def _motors() -> Iterator[Promise]:
-    yield from _each("stalled", "motor 1 without current", fault("dead_motor", "motor1"),
-                     LYING, most=BRAKES, during=(MOVE, SESSION))  # fmt: skip
     yield from _each(
-        "runaway", "polarity of motor 2 swapped", fault("swapped_polarity", "motor2"), LYING, most=BRAKES
+        "stalled", "motor 1 without current", fault("dead_motor", "motor1"), LYING, most=BRAKES, during=(MOVE, SESSION)
     )
+    yield from _each("runaway", "polarity of motor 2 swapped", fault("swapped_polarity", "motor2"), LYING, most=BRAKES)
     says, jammed = "the gear of joint 1 jams", fault("stuck_joint", "motor1")
     yield from _each("jammed", says, jammed, RESISTED, most=YIELDS, during=(MOVE, HOME, SESSION))
     says = "3 kg of unstated payload at the tip"
@@ -492,14 +493,10 @@ def _motors() -> Iterator[Promise]:
     trip = "motor board 2 trips"
     inject = fault("over_current", "motor2")
     # Not in a session: the mock has no table, through which the arm would fall.
-    yield from _each(
-        "over-current", f"{trip}: over-current", inject, "drive_fault", most=FALLS, during=(REST, MOVE)
-    )
+    yield from _each("over-current", f"{trip}: over-current", inject, "drive_fault", most=FALLS, during=(REST, MOVE))
     inject = fault("over_temperature", "motor2")
     every = (REST, MOVE, HOME, SESSION)
-    yield from _each(
-        "over-temperature", f"{trip}: over-temperature", inject, "drive_fault", most=BRAKES, during=every
-    )
+    yield from _each("over-temperature", f"{trip}: over-temperature", inject, "drive_fault", most=BRAKES, during=every)
     inject = fault("supply", *MOTORS, value=5.0)
     yield from _each("supply-drop", "supply falls to 5 V", inject, "drive_fault supply", most=BRAKES)
     for kind, value, code in (
@@ -534,17 +531,13 @@ def _host() -> Iterator[Promise]:
 
 def _requests() -> Iterator[Promise]:
     every = (REST, MOVE, HOME)
-    yield from _each("nonsense", "40 requests with wrong types, NaN, values out of range",
-                     refused(NONSENSE), "", during=every)  # fmt: skip
-    yield from _each("contradiction", "requests that do not fit what goes on", refused(CONTRADICTING), "",
-                     during=(MOVE, HOME))  # fmt: skip
+    yield from _each("nonsense", "40 requests with wrong types, NaN, values out of range", refused(NONSENSE), "", during=every)
+    yield from _each("contradiction", "requests that do not fit what goes on", refused(CONTRADICTING), "", during=(MOVE, HOME))
+    yield from _each("two-clients", "a second client commands", refused(COMMANDS, GUEST), "", during=(MOVE, HOME))
     yield from _each(
-        "two-clients", "a second client commands", refused(COMMANDS, GUEST), "", during=(MOVE, HOME)
+        "table-in-the-way", "moves that would meet the table, the floor or the base", refused(MEETING), "", during=(REST,)
     )
-    yield from _each("table-in-the-way", "moves that would meet the table, the floor or the base",
-                     refused(MEETING), "", during=(REST,))  # fmt: skip
-    yield from _each("singularity", "lines out of reach, and through a singularity",
-                     unplanned(UNREACHABLE), "", during=(REST,))  # fmt: skip
+    yield from _each("singularity", "lines out of reach, and through a singularity", unplanned(UNREACHABLE), "", during=(REST,))
 
 
 def _in_real_time() -> Iterator[Promise]:
@@ -561,10 +554,21 @@ def _in_real_time() -> Iterator[Promise]:
 def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
-        _frames(), _buses(), _boards(), _gripper(), _encoders(), _two_encoders(), _limit_switches(), _motors(), _host(),
-        _requests(), _in_real_time(),
-        BoardsDrill.all(), PairDrill.all(), iter(FileDrill.all()),
-    )  # fmt: skip
+        _frames(),
+        _buses(),
+        _boards(),
+        _gripper(),
+        _encoders(),
+        _two_encoders(),
+        _limit_switches(),
+        _motors(),
+        _host(),
+        _requests(),
+        _in_real_time(),
+        BoardsDrill.all(),
+        PairDrill.all(),
+        iter(FileDrill.all()),
+    )
     return {drill.name: drill for group in groups for drill in group}
 
 

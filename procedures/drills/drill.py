@@ -30,9 +30,7 @@ from hil_mocks.scenario import FaultTable, GripperTable, Scenario, Start, load_s
 from procedures.mock import on_wires
 
 STANDS_m_s = 0.005
-WRONG_rad = (
-    0.003  # between an arm that takes itself for homed and its encoders: play and index error included
-)
+WRONG_rad = 0.003  # between an arm that takes itself for homed and its encoders: play and index error included
 GOES_ON = frozenset[str]()
 
 
@@ -438,20 +436,14 @@ def in_words(outcome: DrillOutcome) -> str:
         if outcome.noticed_s is not None
         else "  noticed     nothing to report",
         "  stood       "
-        + (
-            f"not within {WATCHED_S:g} s"
-            if outcome.stood_s is None
-            else f"{_ms(outcome.stood_s)} ms after the fault"
-        ),
+        + (f"not within {WATCHED_S:g} s" if outcome.stood_s is None else f"{_ms(outcome.stood_s)} ms after the fault"),
         f"  off path    {outcome.off_path_mm:.1f} mm at most, from the path that was asked for",
         f"  ran on      {outcome.ran_on_mm:.0f} mm since the fault",
         f"  lost        {outcome.lost}",
     ]
     if outcome.message:
         lines.append(f"  message     {outcome.message}")
-    lines.append(
-        f"  promise     {'kept' if not outcome.broken else 'NOT kept: ' + '; '.join(outcome.broken)}"
-    )
+    lines.append(f"  promise     {'kept' if not outcome.broken else 'NOT kept: ' + '; '.join(outcome.broken)}")
     return "\n".join(lines)
 
 

@@ -52,9 +52,7 @@ class FileDrill(Promise):
         with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
             times, lost = self.check(Path(folder))
         message = f"{times} places"
-        return DrillOutcome(
-            self, 0.0, 0.0, None, 0.0, f"{lost} records" if lost else "nothing", (), message, 0.0
-        )
+        return DrillOutcome(self, 0.0, 0.0, None, 0.0, f"{lost} records" if lost else "nothing", (), message, 0.0)
 
     @staticmethod
     def all() -> tuple[FileDrill, ...]:
@@ -200,9 +198,7 @@ def _cut_recording(folder: Path) -> tuple[int, int]:
 
 def _record(key: Key) -> Record:
     joints: Sequence[float] = (0.1, 0.2, 0.3)
-    return Record(
-        *key, tuple(joints), (1e-5,) * 3, (1, -1, 1), (0.2, 1.4, 0.3), 0.0, 0.0, (0.5, 0.0, 0.0), (25.0,) * 3
-    )
+    return Record(*key, tuple(joints), (1e-5,) * 3, (1, -1, 1), (0.2, 1.4, 0.3), 0.0, 0.0, (0.5, 0.0, 0.0), (25.0,) * 3)
 
 
 @contextlib.contextmanager
@@ -230,9 +226,7 @@ class Disk:
         self.calls = 0
         self._fails_at = fails_at
         self._kept: dict[int, tuple[str, int]] = {}  # by inode: path, bytes that are on the disk for certain
-        self._renamed: dict[
-            Path, bytes | None
-        ] = {}  # what was under a name before, until its folder is forced
+        self._renamed: dict[Path, bytes | None] = {}  # what was under a name before, until its folder is forced
 
     @contextmanager
     def under(self) -> Iterator[None]:
@@ -356,9 +350,7 @@ class RealTimeDrill(Promise):
             found, message = self._found(client)
         tips = ForwardKinematics(arm)
         shares = [k / SECTIONS for k in range(SECTIONS + 1)]  # a joint move is a straight line of the joints
-        asked = [
-            tips.tip(*(a + share * (b - a) for a, b in zip(start, TO_rad, strict=True))) for share in shares
-        ]
+        asked = [tips.tip(*(a + share * (b - a) for a, b in zip(start, TO_rad, strict=True))) for share in shares]
         return DrillOutcome(
             self,
             max(off_way_m(tip, asked) for _, tip in way[::4]) * 1e3,

@@ -91,9 +91,7 @@ class PairStage:
 
         def look() -> None:
             robots = self.bench.rig.mock.robots
-            first, second = (
-                body.at(robots[name].joint_rad()) for body, name in zip((one, two), cell.names, strict=True)
-            )
+            first, second = (body.at(robots[name].joint_rad()) for body, name in zip((one, two), cell.names, strict=True))
             gap_m = least_gap(first, second, pairs, TOUCHED_m).gap_m
             if gap_m < TOUCHED_m:
                 self.complaint = self.complaint or f"the arms came within {1e3 * gap_m:.0f} mm"
@@ -237,9 +235,7 @@ def folded(played: PairStage) -> None:
     channel, client = played.bench.channels[0], played.bench.clients["left"]
     if channel.request({"do": "move_joints", "q_rad": list(FOLDED_rad)})["ok"]:
         played.complaint = "a move through itself was served"
-    client.ask(
-        "jog", joint_speed_rad_s=[JOG_rad_s * (to - at) for to, at in zip(FOLDED_rad, FROM_rad, strict=True)]
-    )
+    client.ask("jog", joint_speed_rad_s=[JOG_rad_s * (to - at) for to, at in zip(FOLDED_rad, FROM_rad, strict=True)])
     body = ArmBody(played.bench.standing.arms[0], 0.0)
 
     def look() -> None:
@@ -315,38 +311,73 @@ class PairDrill(drill.Promise):
         trips = frozenset({"drive_fault"})
         gone = frozenset({"encoder_stale", "link"})
         yield PairDrill(
-            "over-temperature-pair", "a motor board of the left arm trips", PAIR, trips,
+            "over-temperature-pair",
+            "a motor board of the left arm trips",
+            PAIR,
+            trips,
             inject=fault_of("left", "over_temperature", "motor2"),
-        )  # fmt: skip
+        )
         yield PairDrill("stop-pair", "stop pressed at the right arm", PAIR, frozenset(), most_mm=2.0)
+        yield PairDrill("client-gone-pair", "the client of both dies", PAIR, frozenset(), most_mm=2.0, inject=client_gone)
         yield PairDrill(
-            "client-gone-pair", "the client of both dies", PAIR, frozenset(), most_mm=2.0, inject=client_gone
+            "revoke-pair",
+            "control of the right arm revoked by another client",
+            PAIR,
+            frozenset(),
+            most_mm=2.0,
+            begin=both_move_slowly,
+            inject=ended_at_one(do="control", revoke=True),
+            watched_s=JOGGED_S,
         )
         yield PairDrill(
-            "revoke-pair", "control of the right arm revoked by another client", PAIR, frozenset(), most_mm=2.0,
-            begin=both_move_slowly, inject=ended_at_one(do="control", revoke=True), watched_s=JOGGED_S,
-        )  # fmt: skip
+            "meeting-pair",
+            "moves that would meet the other arm",
+            drill.REST,
+            frozenset(),
+            most_mm=2.0,
+            begin=right_in_the_middle,
+            inject=refused_ways,
+        )
         yield PairDrill(
-            "meeting-pair", "moves that would meet the other arm", drill.REST, frozenset(),
-            most_mm=2.0, begin=right_in_the_middle, inject=refused_ways,
-        )  # fmt: skip
+            "itself-rest",
+            "an arm moved, and jogged, onto itself",
+            drill.REST,
+            frozenset(),
+            most_mm=JOGGED_mm,
+            begin=one_holds,
+            inject=folded,
+            cell=thick_arm,
+            watched_s=JOGGED_S,
+        )
         yield PairDrill(
-            "itself-rest", "an arm moved, and jogged, onto itself", drill.REST, frozenset(),
-            most_mm=JOGGED_mm, begin=one_holds, inject=folded, cell=thick_arm, watched_s=JOGGED_S,
-        )  # fmt: skip
+            "jogged-into-pair",
+            "an arm jogged towards the other",
+            drill.REST,
+            frozenset(),
+            most_mm=JOGGED_mm,
+            begin=right_in_the_middle,
+            inject=jogged_into,
+            watched_s=JOGGED_S,
+        )
         yield PairDrill(
-            "jogged-into-pair", "an arm jogged towards the other", drill.REST, frozenset(),
-            most_mm=JOGGED_mm, begin=right_in_the_middle, inject=jogged_into, watched_s=JOGGED_S,
-        )  # fmt: skip
+            "guided-into-pair",
+            "a hand guides an arm into the way of the other",
+            "one moves",
+            frozenset({"collision"}),
+            within_s=JOGGED_S,
+            most_mm=JOGGED_mm,
+            begin=left_goes_to_the_middle,
+            inject=guided_into,
+            watched_s=JOGGED_S,
+        )
         yield PairDrill(
-            "guided-into-pair", "a hand guides an arm into the way of the other", "one moves",
-            frozenset({"collision"}), within_s=JOGGED_S, most_mm=JOGGED_mm,
-            begin=left_goes_to_the_middle, inject=guided_into, watched_s=JOGGED_S,
-        )  # fmt: skip
-        yield PairDrill(
-            "leader-unplugged-pair", "the left arm's encoder board unplugged, the right one follows it", PAIR, gone,
-            begin=one_follows, inject=fault_of("left", "silent", "encoder"),
-        )  # fmt: skip
+            "leader-unplugged-pair",
+            "the left arm's encoder board unplugged, the right one follows it",
+            PAIR,
+            gone,
+            begin=one_follows,
+            inject=fault_of("left", "silent", "encoder"),
+        )
 
 
 @contextmanager

@@ -169,11 +169,7 @@ def _lost(session: DrilledSession) -> str:
 
 def _wrong_rad(records: dict[Key, Record], taken: dict[Key, Record]) -> float:
     """By how much a record differs from the one without the fault."""
-    off = [
-        abs(a - b)
-        for key, record in records.items()
-        for a, b in zip(record.q_rad, taken[key].q_rad, strict=True)
-    ]
+    off = [abs(a - b) for key, record in records.items() for a, b in zip(record.q_rad, taken[key].q_rad, strict=True)]
     worst = max(off, default=0.0)
     return worst if worst > SEATED_rad else 0.0
 

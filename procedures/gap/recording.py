@@ -50,10 +50,7 @@ class RunFile:
         names = ["t_s", *_joint_names(arm.joint_count), *(f"counted{j}_s" for j in joints), *TIP, *leads]
         hidden = {f"u{drive.joint}_V" for drive in arm.drives if drive.pid.mode != "voltage"}
         table = np.column_stack(
-            [
-                np.full(len(rows), np.nan) if name in hidden else rows[name].astype(np.float64)
-                for name in names
-            ]
+            [np.full(len(rows), np.nan) if name in hidden else rows[name].astype(np.float64) for name in names]
         )
         text = [",".join([*names, "payload_kg"])]
         text += [",".join([*(_cell(x, 12) for x in row), f"{payload_kg:g}"]) for row in table.tolist()]
@@ -128,14 +125,8 @@ def log_text(joint_count: int, runs: Sequence[tuple[str, Aligned | LoggedRun, fl
     groups = [[getattr(run, name) for _, run, _ in runs] for name in GROUPS.values()]
     has = [any(np.isfinite(values).any() for values in group) for group in groups]
     has[-1] = bool(np.any([np.isfinite(volts).any(axis=0) for volts in groups[-1]], axis=0).all())
-    has[-1] |= any(
-        isinstance(run, LoggedRun) and run.is_commanded for _, run, _ in runs
-    )  # then none: driver off
-    names = [
-        name
-        for name, is_there in zip(_joint_names(joint_count), np.repeat(has, joint_count), strict=True)
-        if is_there
-    ]
+    has[-1] |= any(isinstance(run, LoggedRun) and run.is_commanded for _, run, _ in runs)  # then none: driver off
+    names = [name for name, is_there in zip(_joint_names(joint_count), np.repeat(has, joint_count), strict=True) if is_there]
     leads = [lead_rad_of(run, joint_count) for _, run, _ in runs]
     has_lead = np.any([np.isfinite(lead_rad).any(axis=0) for lead_rad in leads], axis=0)
     names_of_leads = [LEADS.format(j + 1) for j in np.flatnonzero(has_lead)]
@@ -201,9 +192,7 @@ def record(arm: Arm, bench: Bench, plan: RecordingPlan, out: Path, advance: Adva
     advance("recorded", 1.0)
 
 
-def record_on_mock(
-    arm: Arm, scenario: str, seed: int | None, plan: RecordingPlan, out: Path, advance: Advance
-) -> None:
+def record_on_mock(arm: Arm, scenario: str, seed: int | None, plan: RecordingPlan, out: Path, advance: Advance) -> None:
     """Home a mock of `arm` and record; its scenario is saved in `out`, the runtime's recordings in `out`/log."""
     from procedures.mock import saved_mock  # imports the physics
 
@@ -232,9 +221,7 @@ def _stop(step: Step) -> Stop[PlannedRun]:
     load = f" with {step.payload_kg:g} kg" if step.payload_kg else ""
     if isinstance(step, PlannedRun):
         start = tuple(step.path.knots[0].q_rad)
-        return Stop(
-            f"run {step.name}: {step.kind}{load}", step.path, (start,), run=step, payload_kg=step.payload_kg
-        )
+        return Stop(f"run {step.name}: {step.kind}{load}", step.path, (start,), run=step, payload_kg=step.payload_kg)
     return Stop(
         f"pose {step.point}{load}",
         step.q_rad,

@@ -94,12 +94,7 @@ class Clocks:
     def in_words(self) -> tuple[str, ...]:
         """Describe the delays removed."""
         camera = "" if math.isnan(self.camera_s) else f", camera frames {1e3 * self.camera_s:.1f} ms"
-        return (
-            (
-                f"Delays removed from the log: angles {1e3 * self.angle_age_s:.2f} ms on average{camera}, currents one"
-                " cycle."
-            ),
-        )
+        return ((f"Delays removed from the log: angles {1e3 * self.angle_age_s:.2f} ms on average{camera}, currents one cycle."),)
 
 
 def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
@@ -169,9 +164,7 @@ def tips_at_rows(arm: Arm, at: Array, frames: Frames) -> Array:
     near = np.abs(ahead_s) <= 1.01 * half_s
     if not near.any():
         return tips
-    moving = np.einsum(
-        "mij,mj->mi", ForwardKinematics(arm).jacobians(frames.q_rad[near]), frames.speed_rad_s[near]
-    )
+    moving = np.einsum("mij,mj->mi", ForwardKinematics(arm).jacobians(frames.q_rad[near]), frames.speed_rad_s[near])
     tips[row[near]] = frames.tip_m[near] + ahead_s[near, None] * moving
     return tips
 
@@ -203,9 +196,7 @@ def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> BoardC
     since, mean_s = float(runs[0].counted_s[0, joints[0]]), float(np.mean(ahead_s))
     first = BoardClock(since, mean_s - 0.5 * period)
     if arm.drive(joints[0] + 1).encoder_board < 0:  # a bought board's counts have the host's time
-        is_loops = (
-            0.0 <= mean_s <= OLDEST_ENCODER * period
-        )  # else the times of an exported log, which begins at 0
+        is_loops = 0.0 <= mean_s <= OLDEST_ENCODER * period  # else the times of an exported log, which begins at 0
         first = BoardClock(since, 0.0 if is_loops else float(ahead_s.min()))
     clock, information = first, np.zeros((2, 2))
     for _ in range(ROUNDS):
@@ -232,21 +223,13 @@ def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: BoardClock) -> tuple[Ar
         current, voltage = _currents(arm, raw)[:, j], raw.voltage_V[:-2, j]
         if len(current) < LEAST_ROWS or not (np.isfinite(current).all() and np.isfinite(voltage).all()):
             continue
-        behind_s = (
-            drive.inductance_H / drive.resistance_ohm + 0.5 * mean_s
-        )  # delay of the current with respect to the speed
+        behind_s = drive.inductance_H / drive.resistance_ohm + 0.5 * mean_s  # delay of the current with respect to the speed
         q = _angle(raw, j, clock, raw.t_s[1:-1] - behind_s)
         speed, bend = (_filtered(q, order, raw.period_s) for order in (1, 2))
-        i, u, rise = (
-            _filtered(current, 0, 1.0),
-            _filtered(voltage, 0, 1.0),
-            _filtered(voltage, 1, raw.period_s),
-        )
+        i, u, rise = (_filtered(current, 0, 1.0), _filtered(voltage, 0, 1.0), _filtered(voltage, 1, raw.period_s))
         values.append(u - drive.resistance_ohm * i - constant * speed)
         since_s = np.full(len(i), float(np.mean(raw.counted_s[:, j])) - clock.since_s)
-        columns.append(
-            np.column_stack((constant * bend, constant * bend * since_s, i, speed, rise, np.ones_like(i)))
-        )
+        columns.append(np.column_stack((constant * bend, constant * bend * since_s, i, speed, rise, np.ones_like(i))))
     if not values:
         return np.zeros((2, 2)), np.zeros(2)
     design, value = np.concatenate(columns), np.concatenate(values)
@@ -357,8 +340,7 @@ def _cubic(at: Array, times: Array, values: Array) -> Array:
 LEAST_LOGGED_ROWS = 10
 STRAY_s, DRIFT = 0.05, 1e-3  # of a board's clock against the loop's: late reports, and two crystals
 NO_STAMPS = (
-    "the log has no time stamps of the encoder boards (counted1_s ...): times are those of its rows, whose angles are"
-    " older"
+    "the log has no time stamps of the encoder boards (counted1_s ...): times are those of its rows, whose angles are older"
 )
 
 

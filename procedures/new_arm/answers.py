@@ -113,9 +113,7 @@ def axes_from(text: str, joints: int) -> str:
     """One letter a joint, x, y or z."""
     letters = text.strip().lower()
     if len(letters) != joints or set(letters) - set("xyz"):
-        raise ArmError(
-            f"axes: expected {joints} letters of x, y, z, such as {USUAL_AXES[joints]}, got {text!r}"
-        )
+        raise ArmError(f"axes: expected {joints} letters of x, y, z, such as {USUAL_AXES[joints]}, got {text!r}")
     if set(letters) == {"z"}:
         raise ArmError(f"axes: expected one across the arm, x or y, or the tip does not move, got {text!r}")
     return letters
@@ -149,9 +147,7 @@ def encoder_on_from(text: str) -> Literal["motor", "joint"]:
     match text.strip():
         case "motor" | "joint" as side:
             return side
-    raise ArmError(
-        f"encoders: expected motor or joint, the side of the gears on which they are, got {text!r}"
-    )
+    raise ArmError(f"encoders: expected motor or joint, the side of the gears on which they are, got {text!r}")
 
 
 def counts_from(words: Sequence[str], joints: int) -> tuple[int, ...]:
@@ -178,11 +174,7 @@ def ports_from(words: Sequence[str], boards: Sequence[str]) -> tuple[str, ...]:
     """One serial port a line of these boards."""
     lines = serial_lines(boards)
     if len(words) != len(lines) or len(set(words)) != len(lines):
-        what = (
-            f"{len(lines)} different serial ports, of {', '.join(lines)}"
-            if lines
-            else "none with these boards"
-        )
+        what = f"{len(lines)} different serial ports, of {', '.join(lines)}" if lines else "none with these boards"
         raise ArmError(f"ports: expected {what}, got {' '.join(words) or 'none'}")
     return tuple(words)
 
@@ -295,21 +287,12 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> ChosenParts:
         lambda text: counts_from(_words(text), joints),
     )
     index = ", and its encoder an index" if REFERENCE in boards else ""
-    home = _answer_if(
-        any(map(may_home, boards)),
-        given.home,
-        asker,
-        f"Has every joint a home switch{index}",
-        "yes",
-        yes_from,
-    )
+    home = _answer_if(any(map(may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", yes_from)
     every_count = counts or (usual,) * joints
     return ChosenParts(boards, gears, every_count, bool(home), side, *_ask_lines(given, asker, boards))
 
 
-def _ask_lines(
-    given: Given, asker: Asker, boards: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str, str] | None]:
+def _ask_lines(given: Given, asker: Asker, boards: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, str] | None]:
     """Serial ports and the CAN bus of the boards, as far as they have any."""
     lines = serial_lines(boards)
     ports = _answer_if(
@@ -358,9 +341,7 @@ def _answer(given: str | None, asker: Asker, question: str, default: str, read: 
             asker.say(f"  {error}")
 
 
-def _answer_if(
-    is_open: bool, given: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]
-) -> T | None:
+def _answer_if(is_open: bool, given: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]) -> T | None:
     """As `_answer`; None, and not asked, where the boards leave nothing open. ArmError if it is answered all the same."""
     if is_open:
         return _answer(given, asker, question, default, read)

@@ -18,20 +18,7 @@ from calib.arrays import Array
 from control.dynamics.dynamics import Dynamics
 from control.kinematics.chain import link_transforms
 from control.kinematics.kinematics import Corners, ForwardKinematics
-from control.model.arm import (
-    Arm,
-    Board,
-    CanBus,
-    Drive,
-    DrivePid,
-    Effect,
-    EncoderBoardPort,
-    Home,
-    Limits,
-    Link,
-    Rest,
-    Tool,
-)
+from control.model.arm import Arm, Board, CanBus, Drive, DrivePid, Effect, EncoderBoardPort, Home, Limits, Link, Rest, Tool
 from control.model.board_kinds import KINDS
 from control.model.reader import keys_of
 from control.model.reference import texts_of
@@ -72,19 +59,13 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
     boards = answers.parts.boards
     ranges = [range_of(joint, kind) for joint, kind in zip(serial.joints, boards, strict=True)]
     bare = Arm(
-        answers.name,
-        links,
-        gravity_m_s2=serial.gravity_m_s2,
-        dh_convention=answers.convention,
-        effects=friction_effects(serial),
+        answers.name, links, gravity_m_s2=serial.gravity_m_s2, dh_convention=answers.convention, effects=friction_effects(serial)
     )
     limits, floor_notes = _limits(serial)
     rest = rest_pose(bare, ranges, limits.floor_z_m)
     limits, more = _floor_below(bare, rest, limits)
     needed = loads(bare, ranges)
-    arm = dataclasses.replace(
-        bare, drives=drives(serial.joints, needed, answers.parts, rest), rest=Rest(rest), limits=limits
-    )
+    arm = dataclasses.replace(bare, drives=drives(serial.joints, needed, answers.parts, rest), rest=Rest(rest), limits=limits)
     arm = _wired(_with_payload_limit(arm), answers.parts)
     return NewArm(
         arm,
@@ -100,8 +81,7 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
             *_on(arm),
         ),
         tuple(
-            (joint.where, "" if mass is None else mass.where)
-            for joint, mass in zip(serial.joints, serial.masses, strict=True)
+            (joint.where, "" if mass is None else mass.where) for joint, mass in zip(serial.joints, serial.masses, strict=True)
         ),
     )
 
@@ -170,8 +150,7 @@ def _narrowed(arm: Arm, serial: SerialArm) -> list[str]:
         f"joint {drive.joint}: {drive.joint_lower_rad:.4g} to {drive.joint_upper_rad:.4g} rad, narrower than asked: its board's"
         " encoder knows its place within one turn"
         for drive, joint in zip(arm.drives, serial.joints, strict=True)
-        if drive.joint_upper_rad - drive.joint_lower_rad
-        < min(joint.upper_rad - joint.lower_rad, 2.0 * WITHOUT_LIMIT_rad) - 1e-9
+        if drive.joint_upper_rad - drive.joint_lower_rad < min(joint.upper_rad - joint.lower_rad, 2.0 * WITHOUT_LIMIT_rad) - 1e-9
     ]
 
 
@@ -288,14 +267,7 @@ def commented_text(new: NewArm, origin: str) -> str:
     lines = [f"# Arm {arm.name}, {origin}. SI units, radians; every key: armwright arm --keys."]
     lines += [f"# {_plain(note)}." for note in new.notes]
     lines += _keys(
-        arm,
-        Arm,
-        (
-            "name",
-            *(key for key in ("as_given", "placeholders") if getattr(arm, key)),
-            "gravity_m_s2",
-            "dh_convention",
-        ),
+        arm, Arm, ("name", *(key for key in ("as_given", "placeholders") if getattr(arm, key)), "gravity_m_s2", "dh_convention")
     )
     lines += _links(arm)
     if arm.tool != Tool():
@@ -309,13 +281,7 @@ def commented_text(new: NewArm, origin: str) -> str:
         lines += _table("can", arm.can, CanBus, ("interface", "channel", "bitrate"))
     if arm.rest is not None:
         lines += _table("rest", arm.rest, Rest, ("q_rad",))
-    limits: tuple[str, ...] = (
-        "tip_speed_m_s",
-        "floor_z_m",
-        "floor_tolerance_m",
-        "base_radius_m",
-        "payload_limit_kg",
-    )
+    limits: tuple[str, ...] = ("tip_speed_m_s", "floor_z_m", "floor_tolerance_m", "base_radius_m", "payload_limit_kg")
     limits = (*limits, "stale_s") if arm.boards else limits
     lines += _table("limits", arm.limits, Limits, limits)
     lines += _tables("effect", Effect, arm.effects, ("effect", "joint", "parameters"))
@@ -365,13 +331,7 @@ def _keys_of_board(board: Board) -> list[str]:
     """Those that mean something for its kind."""
     kind = KINDS[board.kind]
     where = ["port", "baud"] if kind.line == "serial" else []
-    return [
-        "name",
-        "kind",
-        "address",
-        *where,
-        *(["absolute", "absolute_turns"] if kind.may_be_absolute else []),
-    ]
+    return ["name", "kind", "address", *where, *(["absolute", "absolute_turns"] if kind.may_be_absolute else [])]
 
 
 def _tables(name: str, kind: type[Any], items: Sequence[object], keys: tuple[str, ...]) -> list[str]:

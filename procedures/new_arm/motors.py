@@ -22,21 +22,14 @@ from procedures.new_arm.answers import ChosenParts, Shape
 from procedures.on_boards import REFERENCE, HOMING_SPEED_rad_s
 
 POSES: Final = 400
-RESERVE: Final = (
-    3.0  # torque at the current limit over what the worst pose needs; homing has half the current
-)
+RESERVE: Final = 3.0  # torque at the current limit over what the worst pose needs; homing has half the current
 GEARS: Final = (50.0, 80.0, 100.0, 120.0, 160.0, 200.0, 300.0, 500.0)
 FREE_SHARE: Final = 0.7  # of the speed without load that a loaded motor reaches
 USUAL_SPEED_rad_s: Final = 2.0
 MOST_ACCELERATION_rad_s2: Final = 10.0
-SERVO_SPEED_rad_s, SERVO_ACCELERATION_rad_s2 = (
-    1.0,
-    3.0,
-)  # a servo's own loop lags by some hundredths of a second
+SERVO_SPEED_rad_s, SERVO_ACCELERATION_rad_s2 = (1.0, 3.0)  # a servo's own loop lags by some hundredths of a second
 WANTED_ACCELERATION_rad_s2: Final = 5.0  # against gravity, in the worst pose
-MISMATCH: Final = (
-    5.0  # largest inertia over that of the rotor at the joint: a lighter rotor hunts in its gear's backlash
-)
+MISMATCH: Final = 5.0  # largest inertia over that of the rotor at the joint: a lighter rotor hunts in its gear's backlash
 ACCELERATING: Final = 0.5  # share of the torque beyond gravity that accelerates
 JERK_PER_ACCELERATION_1_s: Final = 20.0
 WITHOUT_LIMIT_rad: Final = math.pi  # range of a joint whose file has no limits
@@ -80,22 +73,12 @@ def _servo(name: str) -> TypicalMotor:
     """A servo by its data sheet, which tells neither inductance nor rotor inertia."""
     servo = servos.SERVOS[name]
     return TypicalMotor(
-        servo.torque_constant_Nm_A,
-        servo.resistance_ohm,
-        0.0,
-        0.0,
-        servo.supply_V,
-        servo.stall_A,
-        servo.free_rad_s,
-        name,
+        servo.torque_constant_Nm_A, servo.resistance_ohm, 0.0, 0.0, servo.supply_V, servo.stall_A, servo.free_rad_s, name
     )
 
 
 # To choose from, the smallest first. One line has one supply, but for the XL330, which a step-down feeds.
-SERVOS: Final = {
-    "dynamixel": tuple(map(_servo, ("XL330-M288", "XM430-W350", "XM540-W270"))),
-    "feetech": (_servo("STS3215-12V"),),
-}
+SERVOS: Final = {"dynamixel": tuple(map(_servo, ("XL330-M288", "XM430-W350", "XM540-W270"))), "feetech": (_servo("STS3215-12V"),)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +99,7 @@ def range_of(joint: TreeJoint, kind: str) -> tuple[float, float]:
     is_absolute = kind != REFERENCE and (KINDS[kind].is_absolute or not KINDS[kind].has_switch)
     excess = upper - lower - (2.0 * math.pi - TURN_SPARE_rad)
     if is_absolute and excess > 0.0:
-        lower, upper = (
-            _within(lower + 0.5 * excess, lower, upper),
-            _within(upper - 0.5 * excess, lower, upper),
-        )
+        lower, upper = (_within(lower + 0.5 * excess, lower, upper), _within(upper - 0.5 * excess, lower, upper))
     return lower, upper
 
 
@@ -157,9 +137,7 @@ def _drive(number: int, joint: TreeJoint, load: JointLoad, parts: ChosenParts, r
     current_A = motor.current_A
     if math.isfinite(joint.torque_Nm) and joint.torque_Nm < motor.torque_Nm(gear):
         current_A = joint.torque_Nm / (motor.torque_constant_Nm_A * gear)
-    speed = min(
-        motor.speed_rad_s(gear), joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else USUAL_SPEED_rad_s
-    )
+    speed = min(motor.speed_rad_s(gear), joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else USUAL_SPEED_rad_s)
     acceleration = _acceleration(motor, gear, current_A, load, joint)
     lower, upper = range_of(joint, kind)
     zero_count = 0
@@ -217,9 +195,7 @@ def _rotor(motor: TypicalMotor, gear: float, joint: TreeJoint) -> float:
     return joint.rotor_kg_m2 / gear**2 if joint.rotor_kg_m2 > 0.0 else motor.rotor_inertia_kg_m2
 
 
-def _acceleration(
-    motor: TypicalMotor, gear: float, current_A: float, load: JointLoad, joint: TreeJoint
-) -> float:
+def _acceleration(motor: TypicalMotor, gear: float, current_A: float, load: JointLoad, joint: TreeJoint) -> float:
     torque = motor.torque_constant_Nm_A * current_A * gear
     inertia = load.inertia_kg_m2 + gear**2 * _rotor(motor, gear, joint)
     spare = ACCELERATING * max(torque - load.torque_Nm, 0.1 * torque)
@@ -271,17 +247,7 @@ def stretched_arm(shape: Shape) -> SerialArm:
         masses.append(_rod(place, length, tube_kg, shape.joint_kg if number < len(shape.axes) else 0.0))
     tip = np.eye(4)
     tip[2, 3] = heights[-1]
-    return SerialArm(
-        tuple(joints),
-        ("",) * len(joints),
-        tuple(axes),
-        tuple(masses),
-        tip,
-        "base",
-        "tip",
-        (0.0, 0.0, -9.81),
-        (),
-    )
+    return SerialArm(tuple(joints), ("",) * len(joints), tuple(axes), tuple(masses), tip, "base", "tip", (0.0, 0.0, -9.81), ())
 
 
 def _rod(start_m: np.ndarray, length_m: float, tube_kg: float, end_kg: float) -> Mass:
@@ -290,11 +256,7 @@ def _rod(start_m: np.ndarray, length_m: float, tube_kg: float, end_kg: float) ->
     com_m = (0.5 * tube_kg + end_kg) / total_kg * length_m
     across = tube_kg * (length_m**2 / 12 + (com_m - 0.5 * length_m) ** 2) + end_kg * (length_m - com_m) ** 2
     along = 0.5 * total_kg * RADIUS_m**2
-    return Mass(
-        total_kg,
-        start_m + np.array([0.0, 0.0, com_m]),
-        np.diag([across + 0.5 * along, across + 0.5 * along, along]),
-    )
+    return Mass(total_kg, start_m + np.array([0.0, 0.0, com_m]), np.diag([across + 0.5 * along, across + 0.5 * along, along]))
 
 
 def is_level(gravity_m_s2: tuple[float, float, float]) -> bool:

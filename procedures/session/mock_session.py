@@ -44,9 +44,7 @@ def hidden_place(table: Table, seed: int) -> Callable[[Target], Vector]:
 
     def place(target: Target) -> Vector:
         draw = random.Random(f"board {seed} {target.setup}")
-        shift = np.array(
-            [draw.uniform(-SHIFT_m, SHIFT_m), draw.uniform(-SHIFT_m, SHIFT_m), draw.uniform(0.0, SHIFT_m)]
-        )
+        shift = np.array([draw.uniform(-SHIFT_m, SHIFT_m), draw.uniform(-SHIFT_m, SHIFT_m), draw.uniform(0.0, SHIFT_m)])
         ax, ay, az = (draw.uniform(-TURN_rad, TURN_rad) for _ in range(3))
         skew = np.array([[0.0, -az, ay], [az, 0.0, -ax], [-ay, ax, 0.0]])
         turn = np.linalg.solve(np.eye(3) - 0.5 * skew, np.eye(3) + 0.5 * skew)  # Cayley: a rotation
@@ -103,9 +101,7 @@ def saved_scenario(folder: SessionFolder, name: str | None, was_homed: bool) -> 
             raise SessionError(f"{folder.path}: this session belongs to a real arm: omit --mock")
         write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed))
     elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed):
-        raise SessionError(
-            f"{folder.path}: this session was started with another scenario ({file}): omit --scenario"
-        )
+        raise SessionError(f"{folder.path}: this session was started with another scenario ({file}): omit --scenario")
     return file
 
 
@@ -172,10 +168,7 @@ def pair_station(
     one, two = (cell.placed(name) for name in names)
 
     def together(poses_rad: Poses, fraction: float) -> None:
-        moves = {
-            name: {"q_rad": list(q_rad), "speed": speed * fraction}
-            for name, q_rad in zip(names, poses_rad, strict=True)
-        }
+        moves = {name: {"q_rad": list(q_rad), "speed": speed * fraction} for name, q_rad in zip(names, poses_rad, strict=True)}
         move_together(clients, moves)
 
     return PairStation(
@@ -205,9 +198,7 @@ class MockPairHand:
         q_rad, count = target.q_rad or (), self._placed[0].arm.joint_count
         first, second = (
             np.array(placed.in_cell(model.tip(*q)))
-            for placed, model, q in zip(
-                self._placed, self._models, (q_rad[:count], q_rad[count:]), strict=True
-            )
+            for placed, model, q in zip(self._placed, self._models, (q_rad[:count], q_rad[count:]), strict=True)
         )
         way = second - first
         places = (first, first + target.distance_m * way / max(float(np.linalg.norm(way)), 1e-9))

@@ -27,17 +27,7 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.points.writer import DISTANCE, Record
-from calib.session.conversation import (
-    GO,
-    Ask,
-    Do,
-    Recorded,
-    Saying,
-    SessionCommand,
-    SessionQuestion,
-    SmallMove,
-    Talk,
-)
+from calib.session.conversation import GO, Ask, Do, Recorded, Saying, SessionCommand, SessionQuestion, SmallMove, Talk
 from calib.session.folder import POINTS, SessionFolder
 from calib.session.moves import Vector
 from calib.session.plan import FREE, Mark, SessionPlan, SessionState, Target
@@ -132,8 +122,7 @@ def _jog(rest: str) -> SmallMove:
         arm, axis, step = [], "", math.nan
     if len(arm) > 1 or not math.isfinite(step):
         raise BadCommand(
-            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees), with two arms"
-            " `jog left z -5`"
+            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees), with two arms `jog left z -5`"
         )
     axis = axis.lower()
     return SmallMove(axis, (MM if axis in ("x", "y", "z") else DEGREE) * step, *arm)
@@ -151,9 +140,7 @@ CURRENT, PARTLY = "O", "+"
 LEGEND = "# done  + some repeats  O now  . left  - skipped  x bad"
 
 
-def board_text(
-    state: SessionState, cavities_m: Mapping[str, Vector], setup: str, current: Target | None
-) -> str:
+def board_text(state: SessionState, cavities_m: Mapping[str, Vector], setup: str, current: Target | None) -> str:
     """The cavities of one setup, seen from above, the board's x axis to the right."""
     marks = {name: _sign(state, setup, name, current) for name in cavities_m}
     shown = {name: cavities_m[name] for name, sign in marks.items() if sign}
@@ -269,9 +256,7 @@ class ContactWords:
 
     def question(self, ask: Ask, target: Target) -> str:
         """The request to the operator."""
-        far = (
-            f"{1e3 * target.distance_m:g} mm from the other" if target.distance_m else "where the other's is"
-        )
+        far = f"{1e3 * target.distance_m:g} mm from the other" if target.distance_m else "where the other's is"
         if ask.question is SessionQuestion.NEXT:
             return "hands off both arms; Enter moves them to where their tips can meet"
         if ask.question is SessionQuestion.TAKE:
@@ -293,9 +278,7 @@ Say = Callable[[str], None]
 class SessionOperator:
     """Prints the messages of a session and answers from lines. When they end, the answer is `quit`."""
 
-    def __init__(
-        self, folder: SessionFolder, words: Words, lines: Iterator[str], say: Say, may_auto: bool = False
-    ) -> None:
+    def __init__(self, folder: SessionFolder, words: Words, lines: Iterator[str], say: Say, may_auto: bool = False) -> None:
         """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
         self._folder, self._words, self._lines, self._say = folder, words, lines, say
         self._may_auto = may_auto
@@ -368,8 +351,7 @@ class SessionOperator:
         state, target = self._folder.state, ask.target
         if target is None:
             return (
-                f"All points are done ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` measures a"
-                " point again"
+                f"All points are done ({state.count(Mark.DONE)} recorded). Enter ends the session, `redo` measures a point again"
             )
         done = len(state.targets) - len(state.left())
         where = f"[{done + 1}/{len(state.targets)}] {target.name}"
@@ -445,17 +427,13 @@ class Reporter(SessionOperator):
                 "point": target.point if target is not None else "",
                 "done": state.count(Mark.DONE),
                 "left": state.count(Mark.LEFT),
-                "board": board(
-                    state, self._words.cavities_m, setup, target.point if target is not None else ""
-                ),
+                "board": board(state, self._words.cavities_m, setup, target.point if target is not None else ""),
             }
         )
         return super()._asked(ask)
 
 
-def board(
-    state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str
-) -> list[dict[str, object]]:
+def board(state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str) -> list[dict[str, object]]:
     """Each cavity of a setup that the session uses: its place on the board and whether it is done."""
     found: list[dict[str, object]] = []
     for name, (x, y, _) in cavities_m.items():

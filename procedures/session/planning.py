@@ -11,34 +11,12 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.session.moves import chosen_free_poses, read_free_poses
-from calib.session.plan import (
-    FREE,
-    Board,
-    PoseFrame,
-    SessionPlan,
-    Target,
-    board_targets,
-    fingerprint,
-    free_targets,
-)
+from calib.session.plan import FREE, Board, PoseFrame, SessionPlan, Target, board_targets, fingerprint, free_targets
 from control.model import table as tables
 from control.model.arm import Arm, Camera, Table
 from control.tables import WHOLE_LARGEST, TableColumn, TableFormat, read_table
 
-OPTIONS = (
-    "setups",
-    "points",
-    "repeats",
-    "approaches",
-    "free",
-    "plan",
-    "payload",
-    "seat",
-    "board",
-    "camera",
-    "pictures",
-    "seen",
-)
+OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload", "seat", "board", "camera", "pictures", "seen")
 MOST_FREE = 500
 PLAN = TableFormat(
     "pose",
@@ -88,9 +66,7 @@ def _board_of(table: Table | None) -> Board:
 
 def _from_options(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
     free = _free(given, arm)
-    sees_no_board = (
-        given.pictures or arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
-    )
+    sees_no_board = given.pictures or arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
     if sees_no_board and free and given.setups is None and given.points is None:
         return free
     table = tables.table_of(arm)
@@ -122,9 +98,7 @@ def _seen_rad(given: argparse.Namespace, arm: Arm) -> list[float] | None:
     if given.seen is None:
         return None
     if len(given.seen) != arm.joint_count:
-        raise SessionError(
-            f"--seen: expected {arm.joint_count} joint angles in rad (`armwright status`), got {len(given.seen)}"
-        )
+        raise SessionError(f"--seen: expected {arm.joint_count} joint angles in rad (`armwright status`), got {len(given.seen)}")
     _require_inside("--seen", arm, given.seen)
     return list(given.seen)
 
@@ -151,9 +125,7 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
 def _require_inside(where: str, arm: Arm, q_rad: Sequence[float]) -> None:
     for joint, (q, (lower, upper)) in enumerate(zip(q_rad, arm.limits_rad, strict=True), start=1):
         if not lower <= q <= upper:
-            raise SessionError(
-                f"{where}: joint {joint} at {q:g} rad is outside its range, {lower:g} to {upper:g} rad"
-            )
+            raise SessionError(f"{where}: joint {joint} at {q:g} rad is outside its range, {lower:g} to {upper:g} rad")
 
 
 def _setups_of(table: Table) -> list[str]:
@@ -172,9 +144,7 @@ def _points(text: str, known: Sequence[str]) -> list[str]:
     unknown = [point for point in points if point not in known]
     if unknown:
         some = ", ".join(known[:8])
-        raise SessionError(
-            f"--points: the table has no cavity {unknown[0]}; it has {some}, ... ({len(known)})"
-        )
+        raise SessionError(f"--points: the table has no cavity {unknown[0]}; it has {some}, ... ({len(known)})")
     return points
 
 

@@ -150,15 +150,11 @@ def tune(arm: Arm, clock: Clock, options: TuningOptions, advance: Advance) -> Tu
     for joint in options.joints:
         one = chosen[joint]
         _require_margins(joint, after[joint])
-        joints.append(
-            Tuned(joint, one.fit, one.design, one.inertia_ratios, before[joint], after[joint], one.cautions)
-        )
+        joints.append(Tuned(joint, one.fit, one.design, one.inertia_ratios, before[joint], after[joint], one.cautions))
     return TuningResult(tuned, tuple(joints))
 
 
-def _tried(
-    arm: Arm, clock: Clock, options: TuningOptions, pose: tuple[float, ...], advance: Advance
-) -> dict[int, Trial]:
+def _tried(arm: Arm, clock: Clock, options: TuningOptions, pose: tuple[float, ...], advance: Advance) -> dict[int, Trial]:
     """The new gains on the arm, joint after joint."""
     after: dict[int, Trial] = {}
     count = len(options.joints)
@@ -183,11 +179,7 @@ def in_voltage_mode(arm: Arm) -> Arm:
 
 def tunable(arm: Arm) -> tuple[int, ...]:
     """The joints whose controller is in this loop, or can be; the others' boards close the loop by gains of their own."""
-    return tuple(
-        drive.joint
-        for drive in arm.drives
-        if drive.pid.mode != "position" or "voltage" in arm.kind_of(drive).modes
-    )
+    return tuple(drive.joint for drive in arm.drives if drive.pid.mode != "position" or "voltage" in arm.kind_of(drive).modes)
 
 
 def require_loop(arm: Arm, joints: tuple[int, ...]) -> None:
@@ -219,17 +211,11 @@ def _pose(arm: Arm, options: TuningOptions) -> tuple[float, ...]:
     return tuple(pose)
 
 
-def _try(
-    session: TuningSession, arm: Arm, joint: int, options: TuningOptions
-) -> tuple[Trial, MeasuredResponse]:
+def _try(session: TuningSession, arm: Arm, joint: int, options: TuningOptions) -> tuple[Trial, MeasuredResponse]:
     """Measure with the gains of the session's runtime."""
     drive = arm.drive(joint)
     unit = 1.0 if drive.pid.mode == "current" else drive.resistance_ohm
-    current_A = (
-        drive.current_limit_A
-        if math.isfinite(drive.current_limit_A)
-        else drive.supply_V / drive.resistance_ohm
-    )
+    current_A = drive.current_limit_A if math.isfinite(drive.current_limit_A) else drive.supply_V / drive.resistance_ohm
     amplitude = options.amplitude * current_A * unit
     home = session.angles_rad()
     try:
@@ -248,12 +234,7 @@ def _try(
 
 
 def _designed(
-    arm: Arm,
-    joint: int,
-    before: Trial,
-    measured: MeasuredResponse,
-    options: TuningOptions,
-    pose: tuple[float, ...],
+    arm: Arm, joint: int, before: Trial, measured: MeasuredResponse, options: TuningOptions, pose: tuple[float, ...]
 ) -> _Chosen:
     if has_play_in_loop(arm.drive(joint)) and measured.distortion > NOT_LINEAR:
         raise NotTuned(
@@ -370,9 +351,18 @@ def header(arm: Arm) -> tuple[str, ...]:
     """Heads of the columns; the gains' units are those of the drives' modes."""
     unit = "/".join(sorted({"A" if drive.pid.mode == "current" else "V" for drive in arm.drives}))
     return (
-        "joint", "gains", f"kp [{unit}/rad]", f"ki [{unit}/(rad s)]", f"kd [{unit} s/rad]", "gain margin", "phase margin",
-        "crossover", "overshoot", "settling", "following error",
-    )  # fmt: skip
+        "joint",
+        "gains",
+        f"kp [{unit}/rad]",
+        f"ki [{unit}/(rad s)]",
+        f"kd [{unit} s/rad]",
+        "gain margin",
+        "phase margin",
+        "crossover",
+        "overshoot",
+        "settling",
+        "following error",
+    )
 
 
 def write_report(result: TuningResult, path: Path, about: str) -> None:
@@ -387,33 +377,42 @@ def rows(tuned: Tuned) -> list[tuple[str, ...]]:
     return [
         _row(tuned.joint, "before", tuned.before),
         (
-            "", "designed", f"{design.gains.kp:.1f}", f"{design.gains.ki:.0f}", f"{design.gains.kd:.3f}",
-            _dB(design.here.gain_dB), f"{design.here.phase_deg:.0f} deg",
-            f"{design.here.crossover_rad_s / (2 * math.pi):.1f} Hz", "", "", "",
+            "",
+            "designed",
+            f"{design.gains.kp:.1f}",
+            f"{design.gains.ki:.0f}",
+            f"{design.gains.kd:.3f}",
+            _dB(design.here.gain_dB),
+            f"{design.here.phase_deg:.0f} deg",
+            f"{design.here.crossover_rad_s / (2 * math.pi):.1f} Hz",
+            "",
+            "",
+            "",
         ),
         _row(tuned.joint, "after", tuned.after),
-    ]  # fmt: skip
+    ]
 
 
 def _row(joint: int, name: str, trial: Trial) -> tuple[str, ...]:
     found = trial.margins
     return (
-        str(joint) if name == "before" else "", name,
-        f"{trial.gains.kp:.1f}", f"{trial.gains.ki:.0f}", f"{trial.gains.kd:.3f}",
+        str(joint) if name == "before" else "",
+        name,
+        f"{trial.gains.kp:.1f}",
+        f"{trial.gains.ki:.0f}",
+        f"{trial.gains.kd:.3f}",
         *_measured(found),
-        f"{trial.step.overshoot:.0%}", f"{1e3 * trial.step.settling_s:.0f} ms", f"{1e3 * trial.move.peak_error_rad:.2f} mrad",
-    )  # fmt: skip
+        f"{trial.step.overshoot:.0%}",
+        f"{1e3 * trial.step.settling_s:.0f} ms",
+        f"{1e3 * trial.move.peak_error_rad:.2f} mrad",
+    )
 
 
 def _measured(found: Margins) -> tuple[str, str, str]:
     """Margins and crossover, if that is among the measured frequencies."""
     if math.isnan(found.phase_deg):
         return "", "", f"below {LOWEST_Hz:g} Hz"
-    return (
-        _dB(found.gain_dB),
-        f"{found.phase_deg:.0f} deg",
-        f"{found.crossover_rad_s / (2 * math.pi):.1f} Hz",
-    )
+    return (_dB(found.gain_dB), f"{found.phase_deg:.0f} deg", f"{found.crossover_rad_s / (2 * math.pi):.1f} Hz")
 
 
 def _dB(value: float) -> str:
@@ -450,9 +449,7 @@ def _joint(tuned: Tuned) -> Section:
         f" is nonlinear; noise is {tuned.before.measured.noise:.2%}."
     )
     pictures = pair(svg((5.1, 4.6), lambda f: _bode(f, tuned)), svg((5.1, 4.6), lambda f: _nyquist(f, tuned)))
-    pictures += pair(
-        svg((5.1, 3.0), lambda f: _steps(f, tuned)), svg((5.1, 3.0), lambda f: _errors(f, tuned))
-    )
+    pictures += pair(svg((5.1, 3.0), lambda f: _steps(f, tuned)), svg((5.1, 3.0), lambda f: _errors(f, tuned)))
     return Section(f"Joint {tuned.joint}", paragraph(words) + pictures)
 
 
@@ -475,9 +472,7 @@ def _bode(figure: Figure, tuned: Tuned) -> None:
     top.legend()
 
 
-def _phase(
-    loop: np.ndarray[tuple[int, ...], np.dtype[np.complex128]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _phase(loop: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     phase = np.degrees(np.unwrap(np.angle(loop)))
     return np.asarray(phase - 360.0 * np.round((phase[0] + 135.0) / 360.0))
 

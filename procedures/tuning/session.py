@@ -146,8 +146,11 @@ def usable(measured: MeasuredResponse, least_coherence: float) -> MeasuredRespon
         )
     return MeasuredResponse(
         Response(response.omega_rad_s[keep], response.plant[keep], response.coherence[keep]),
-        measured.loop[keep], measured.distortion, measured.noise, measured.span_rad,
-    )  # fmt: skip
+        measured.loop[keep],
+        measured.distortion,
+        measured.noise,
+        measured.span_rad,
+    )
 
 
 # A probe between loop and boards: adds a known signal to one joint's output, and records commands and counts.
@@ -175,9 +178,7 @@ class Probe:
         self._limit = 0.0
         self._on_cycle: Callable[[int], None] = lambda cycle: None
 
-    def watch(
-        self, joint: int, signal: Sequence[float], limit: float, on_cycle: Callable[[int], None]
-    ) -> None:
+    def watch(self, joint: int, signal: Sequence[float], limit: float, on_cycle: Callable[[int], None]) -> None:
         """Start a trace of a joint (0-based), with a signal applied once, clamped to the output limit.
 
         `on_cycle` is called at the end of each cycle with its number, from 0.
@@ -212,9 +213,7 @@ class Probe:
         """As the hardware."""
         return self._hardware.read()
 
-    def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
-    ) -> None:  # fmt: skip
+    def write(self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]) -> None:
         """As the hardware, with the signal added to one joint while the loop controls it."""
         joint = self._joint
         if joint is None:
@@ -222,9 +221,7 @@ class Probe:
             return
         trace = self.trace
         cycle = len(trace.t_s)
-        added = (
-            self._signal[cycle] if cycle < len(self._signal) and modes[joint] is not OutputMode.OFF else 0.0
-        )
+        added = self._signal[cycle] if cycle < len(self._signal) and modes[joint] is not OutputMode.OFF else 0.0
         outputs = list(output)
         outputs[joint] = min(max(outputs[joint] + added, -self._limit), self._limit)
         trace.t_s.append(self._clock.now_s())
@@ -332,9 +329,7 @@ class TuningSession:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         self._leave()
 
     def _leave(self) -> None:
@@ -393,9 +388,7 @@ class TuningSession:
                 angle = [mapped.radians(k) for k in trace.count[inside]]
                 rows.append((angle, trace.output[inside], trace.added[inside]))
         if len(rows) < 2:
-            raise ArmError(
-                "tuning: this host missed cycles in nearly every pass: `armwright doctor` lists the rights it needs"
-            )
+            raise ArmError("tuning: this host missed cycles in nearly every pass: `armwright doctor` lists the rights it needs")
         angle_rad, output, added = (np.array([row[k] for row in rows]) for k in range(3))
         return evaluate(wave, angle_rad, output, added)
 
@@ -421,9 +414,7 @@ class TuningSession:
         mapped = JointMap(drive)
         wanted: list[float] = []
         limit = drive.supply_V if drive.pid.mode != "current" else drive.current_limit_A
-        self.probe.watch(
-            joint - 1, (), limit, lambda cycle: wanted.append(runtime.set_point.q_rad[joint - 1])
-        )
+        self.probe.watch(joint - 1, (), limit, lambda cycle: wanted.append(runtime.set_point.q_rad[joint - 1]))
         try:
             self.client.move_joints(_with(home, joint - 1, distance_rad), 1.0)
             self.client.wait(REST_S)
@@ -447,11 +438,7 @@ def _pass(centre: SetPoint, j: int, cycle_s: float) -> list[SetPoint]:
         rows.append((way, speed, acceleration))
     begin_rad = -0.5 * way
     points = [
-        SetPoint(
-            _with(centre.q_rad, j, begin_rad + at),
-            _with(centre.speed_rad_s, j, v),
-            _with(centre.acceleration_rad_s2, j, a),
-        )
+        SetPoint(_with(centre.q_rad, j, begin_rad + at), _with(centre.speed_rad_s, j, v), _with(centre.acceleration_rad_s2, j, a))
         for at, v, a in rows
     ]
     return [at_rest(_with(centre.q_rad, j, begin_rad)), *points[:-1], at_rest(points[-1].q_rad)]
@@ -474,18 +461,13 @@ def _is_punctual(t_s: Sequence[float], cycle_s: float) -> bool:
     return bool(steps.size and np.all(np.abs(steps - cycle_s) < LATE * cycle_s))
 
 
-def _judged_step(
-    share: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]", two_counts: float, cycle_s: float
-) -> StepResponse:
+def _judged_step(share: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]", two_counts: float, cycle_s: float) -> StepResponse:
     t_s = cycle_s * (1 + np.arange(len(share)))
     final = float(share[-50:].mean())
     band = max(0.05, two_counts)
     outside = np.flatnonzero(np.abs(share - final) > band)
     return StepResponse(
-        tuple(t_s.tolist()),
-        tuple(share.tolist()),
-        float(share.max() - final),
-        float(t_s[outside[-1]]) if outside.size else 0.0,
+        tuple(t_s.tolist()), tuple(share.tolist()), float(share.max() - final), float(t_s[outside[-1]]) if outside.size else 0.0
     )
 
 

@@ -40,9 +40,7 @@ class SurveyPair:
     def planned(cls, pair: ModelPair, programme: Programme, out: Path) -> "SurveyPair":
         """Plan both surveys; ArmError if something is out of reach by either model."""
         return cls(
-            programme,
-            Survey(pair.nominal, programme, out / "before.csv"),
-            Survey(pair.calibrated, programme, out / "after.csv"),
+            programme, Survey(pair.nominal, programme, out / "before.csv"), Survey(pair.calibrated, programme, out / "after.csv")
         )
 
     def run(self, runtime_model: Model, client: ArmClient, speed: float, advance: Advance) -> None:
@@ -78,9 +76,7 @@ class SurveyPair:
         return compared(self.programme, before, after), paths
 
 
-def driven(
-    pair: ModelPair, drive: SurveyPair, comparison: Comparison, paths: tuple[TrackPair, ...]
-) -> Verification:
+def driven(pair: ModelPair, drive: SurveyPair, comparison: Comparison, paths: tuple[TrackPair, ...]) -> Verification:
     """The verification of an arm that was moved."""
     programme = drive.programme
     how = [
@@ -128,9 +124,7 @@ def on_recorded(
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)
     verified = _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
-    return dataclasses.replace(
-        verified, pose_count=len(points), turns=compare_turns(nominal, calibrated, points)
-    )
+    return dataclasses.replace(verified, pose_count=len(points), turns=compare_turns(nominal, calibrated, points))
 
 
 def _with_tips(arm: Arm, points: Points) -> Points:
@@ -183,8 +177,7 @@ def _left_out(nominal: Arm, calibrated: Arm, is_driven: bool) -> tuple[str, ...]
     was = [_named(effect) for effect in nominal.effects if effect.effect in SIDE_EFFECTS]
     if is_driven and was and not Model(nominal).has_gears_of(Model(calibrated)):
         notes.append(
-            f"the nominal arm's {', '.join(was)} was not used for its motions: the runtime corrects with one arm file"
-            " only"
+            f"the nominal arm's {', '.join(was)} was not used for its motions: the runtime corrects with one arm file only"
         )
     return tuple(notes)
 

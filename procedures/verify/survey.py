@@ -65,11 +65,7 @@ class Model:
     @cached_property
     def gears(self) -> frozenset[tuple[object, ...]]:
         """Effects of the model between joints and encoders."""
-        return frozenset(
-            (e.effect, e.joint, *sorted(e.parameters.items()))
-            for e in self.arm.effects
-            if e.effect in SIDE_EFFECTS
-        )
+        return frozenset((e.effect, e.joint, *sorted(e.parameters.items())) for e in self.arm.effects if e.effect in SIDE_EFFECTS)
 
     def has_gears_of(self, runtime_model: "Model") -> bool:
         """Whether a runtime with the other model corrects exactly this model's gear effects."""
@@ -105,19 +101,14 @@ def nominal_of(calibrated: Arm, against: str | None) -> Arm:
     """
     nominal = load_arm(against or _source_of(calibrated))
     if nominal.joint_count != calibrated.joint_count:
-        shapes = [
-            f"{arm.joint_count} joints, {len(arm.links)} links and {arm.dh_convention} DH"
-            for arm in (nominal, calibrated)
-        ]
+        shapes = [f"{arm.joint_count} joints, {len(arm.links)} links and {arm.dh_convention} DH" for arm in (nominal, calibrated)]
         raise ArmError(f"{calibrated.path} has {shapes[1]}, {nominal.path} {shapes[0]}: not the same arm")
     return nominal
 
 
 def _source_of(calibrated: Arm) -> str:
     if calibrated.calibration is None:
-        raise ArmError(
-            f"{calibrated.path}: has no [calibration], so its nominal arm is unknown; give it with --against"
-        )
+        raise ArmError(f"{calibrated.path}: has no [calibration], so its nominal arm is unknown; give it with --against")
     source = calibrated.calibration.source
     beside = (calibrated.path or Path()).parent / source
     for candidate in (beside, Path(source)):
@@ -126,8 +117,7 @@ def _source_of(calibrated: Arm) -> str:
     if Path(source).stem in arm_names():
         return Path(source).stem
     raise ArmError(
-        f"{calibrated.path}: its nominal arm {source} was found neither beside it nor in this folder; give it with"
-        " --against"
+        f"{calibrated.path}: its nominal arm {source} was found neither beside it nor in this folder; give it with --against"
     )
 
 
@@ -195,10 +185,7 @@ def ways(table: Table, setups: Sequence[str], height_m: float = HEIGHT_m) -> tup
     return tuple(
         Way(name, setup, Waypoints(tuple(points), None))
         for setup in setups
-        for name, points in (
-            ("circle", _circle(table, setup, height_m)),
-            ("line", _line(table, setup, height_m)),
-        )
+        for name, points in (("circle", _circle(table, setup, height_m)), ("line", _line(table, setup, height_m)))
     )
 
 
@@ -257,9 +244,7 @@ def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float])
         try:
             q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), place.near_rad or q_near_rad)
         except ArmError as error:
-            raise ArmError(
-                f"verification point {place.setup} {place.point}: {error}; nothing moved"
-            ) from error
+            raise ArmError(f"verification point {place.setup} {place.point}: {error}; nothing moved") from error
         poses.append(Target(place.setup, place.point, q_rad=tuple(q_near_rad)))
     return tuple(poses)
 
@@ -291,9 +276,7 @@ def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float
         raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
 
 
-def run(
-    path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient, speed: float
-) -> SurveyedPath:
+def run(path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient, speed: float) -> SurveyedPath:
     """Go to the path's start and run it as planned by `model`."""
     as_encoders = not model.has_gears_of(runtime_model)
     client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
@@ -371,9 +354,7 @@ def _at(time_s: np.ndarray, times_s: np.ndarray, points_m: np.ndarray) -> np.nda
     return np.column_stack([np.interp(time_s, times_s, points_m[:, axis]) for axis in range(3)])
 
 
-def _camera_delay_s(
-    time_s: np.ndarray, planned_m: np.ndarray, seen_s: np.ndarray, seen_m: np.ndarray
-) -> float:
+def _camera_delay_s(time_s: np.ndarray, planned_m: np.ndarray, seen_s: np.ndarray, seen_m: np.ndarray) -> float:
     """The delay with the least scatter of measured minus planned; a constant offset is not a delay."""
     delays_s = np.arange(0.0, LONGEST_DELAY_S, DELAY_STEP_S)
     scatter = []
@@ -421,9 +402,7 @@ class Survey:
         """The poses of the places, (m, n)."""
         return np.array([pose.q_rad for pose in self._poses])
 
-    def tour(
-        self, repeat: int, runtime_model: Model, client: ArmClient, speed: float
-    ) -> Iterator[Stop[None]]:
+    def tour(self, repeat: int, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[Stop[None]]:
         """Visit every place once; the camera measures at each, and each is saved before the next."""
         how = How(SessionSettings(average_s=AVERAGE_s), not self.model.has_gears_of(runtime_model))
         stops: list[Stop[None]] = [
@@ -470,17 +449,13 @@ def compared(programme: Programme, before: Points, after: Points) -> Comparison:
 
 
 def _by_key(points: Points) -> dict[tuple[str, str, int], np.ndarray]:
-    return {
-        key: points.tip_m[row]
-        for row, key in enumerate(zip(points.setup, points.point, points.repeat, strict=True))
-    }
+    return {key: points.tip_m[row] for row, key in enumerate(zip(points.setup, points.point, points.repeat, strict=True))}
 
 
 def paired(programme: Programme, before: Sequence[Track], after: Sequence[Track]) -> tuple[TrackPair, ...]:
     """The tracks by both models."""
     return tuple(
-        TrackPair(way.name, way.setup, first, second)
-        for way, first, second in zip(programme.ways, before, after, strict=True)
+        TrackPair(way.name, way.setup, first, second) for way, first, second in zip(programme.ways, before, after, strict=True)
     )
 
 

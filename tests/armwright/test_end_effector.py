@@ -44,9 +44,7 @@ def test_an_arm_grips_sets_an_output_and_changes_its_tool() -> None:
         running.mount("cup")
         running.tool("cup")
         assert running.arm.tool.name == "cup"
-        moved_m = armwright.Kinematics(running.arm).forward(np.zeros(3)) - armwright.Kinematics(arm).forward(
-            np.zeros(3)
-        )
+        moved_m = armwright.Kinematics(running.arm).forward(np.zeros(3)) - armwright.Kinematics(arm).forward(np.zeros(3))
         assert math.hypot(*moved_m) == pytest.approx(0.1)
 
 

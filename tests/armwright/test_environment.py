@@ -132,9 +132,7 @@ def test_a_choice_that_cannot_be_is_one_error(choice: dict[str, Any], said: str)
 
 
 @pytest.mark.parametrize("action", [[0.1, 0.1], [0.1, 0.1, float("nan")]])
-def test_an_action_that_is_none_is_one_error_and_takes_no_time(
-    environment: ReachEnvironment, action: list[float]
-) -> None:
+def test_an_action_that_is_none_is_one_error_and_takes_no_time(environment: ReachEnvironment, action: list[float]) -> None:
     environment.reset(seed=1)
     with pytest.raises(armwright.BadTarget, match=r"expected 3 finite speeds \[rad/s\], got \[0.1, 0.1"):
         environment.step(action)

@@ -20,13 +20,7 @@ FOREIGN = "raise RuntimeError('the folder of the user was imported')\n"
 def python(*arguments: str, cwd: Path, path: Path | None = None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(path) if path else ""}
     return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
+        [sys.executable, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=300
     )
 
 
@@ -117,14 +111,10 @@ def test_a_foreign_folder_without_init_that_was_imported_before_is_named_too(lab
 
 
 @pytest.mark.parametrize("name", sorted(set(installation.PACKAGES) - {"control", "firmware_iface"}))
-def test_beside_python_control_every_package_ends_in_one_sentence(
-    name: str, shared: Path, tmp_path: Path
-) -> None:
+def test_beside_python_control_every_package_ends_in_one_sentence(name: str, shared: Path, tmp_path: Path) -> None:
     ended = python("-c", f"import {name}", cwd=tmp_path, path=shared)
     said = ended.stderr.splitlines()[-1]
-    assert said.startswith(
-        "ImportError: armwright and the package control (python-control) both install a folder `control`"
-    )
+    assert said.startswith("ImportError: armwright and the package control (python-control) both install a folder `control`")
     assert str(shared / "control" / "xferfcn.py") in said
     assert said.endswith("install armwright in a separate virtual environment")
 
@@ -136,9 +126,7 @@ def test_beside_python_control_the_command_ends_in_one_sentence(shared: Path, tm
     ended = python("-c", program, "--version", cwd=tmp_path, path=shared)
     assert ended.returncode == 2
     assert ended.stderr.count("\n") == 1
-    assert ended.stderr.startswith(
-        "armwright: armwright and the package control (python-control) both install"
-    )
+    assert ended.stderr.startswith("armwright: armwright and the package control (python-control) both install")
     well = python("-c", program, "--version", cwd=tmp_path)
     assert (well.returncode, well.stdout.split()[0]) == (0, "armwright")
 
@@ -158,15 +146,11 @@ def test_in_one_folder_with_python_control_the_order_of_installation_does_not_ma
     assert "ImportError: armwright and the package control (python-control)" in ended.stderr.splitlines()[-1]
 
 
-def test_a_package_whose_init_was_taken_away_is_said_to_be_damaged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_whose_init_was_taken_away_is_said_to_be_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installation.claim()  # as every import of ours has done, if there was one
     (tmp_path / "control").mkdir()
     monkeypatch.setattr(installation, "ROOT", tmp_path)
-    finder = next(
-        finder for finder in sys.meta_path if type(finder).__module__ == "firmware_iface.installation"
-    )
+    finder = next(finder for finder in sys.meta_path if type(finder).__module__ == "firmware_iface.installation")
     with pytest.raises(ImportError, match=r"control/__init__.py is missing.*install armwright again"):
         finder.find_spec("control", None)
     assert finder.find_spec("numpy", None) is None

@@ -25,17 +25,13 @@ plugin: Any = pytest.importorskip("lerobot_robot_armwright", reason=WITHOUT)
 SO101 = armwright.load_arm("so101")
 START = (0.2, -0.4, 0.3, 0.2, -0.1)
 STEP_s = 1.0 / 30.0  # as LeRobot's programs go round
-JOINTS = [
-    f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-]
+JOINTS = [f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")]
 
 
 @contextmanager
 def cell_of(monkeypatch: pytest.MonkeyPatch, arm: armwright.Arm, **hidden: Any) -> Iterator[Cell]:
     """A mock whose loop `armwright.connect` finds."""
-    with open_cell(
-        scenario(START[: arm.joint_count], **hidden), arm, period_s=1.0 / arm.usual_rate_Hz
-    ) as cell:
+    with open_cell(scenario(START[: arm.joint_count], **hidden), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
 
         def connected(*_: object) -> RunningArm:
             channel = InProcessChannel(cell.assembly, cell.rig.clock, cell.channel.loop, number=1)
@@ -214,9 +210,7 @@ def test_a_loop_that_is_gone_is_raised_and_disconnecting_raises_nothing(cell: Ce
 
 def test_an_arm_that_is_not_homed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with cell_of(monkeypatch, armwright.load_arm("right"), homed=False) as cell:
-        with pytest.raises(
-            armwright.ArmError, match="not homed: find its zeros with `armwright home --arm right`"
-        ):
+        with pytest.raises(armwright.ArmError, match="not homed: find its zeros with `armwright home --arm right`"):
             robot_of("right").connect()
         assert cell.mode is Mode.HOLDING
         cell.client.take_control()  # nobody has it
@@ -226,11 +220,7 @@ def test_an_arm_without_names_and_gripper_has_its_joints_by_number(monkeypatch: 
     with cell_of(monkeypatch, armwright.load_arm("right")):
         robot = robot_of("right")
         robot.connect()
-        assert (
-            list(robot.get_observation())
-            == list(robot.action_features)
-            == ["joint1.pos", "joint2.pos", "joint3.pos"]
-        )
+        assert list(robot.get_observation()) == list(robot.action_features) == ["joint1.pos", "joint2.pos", "joint3.pos"]
         robot.disconnect()
 
 
@@ -265,9 +255,7 @@ def test_disconnecting_a_leader_lets_it_hold(guided: tuple[Cell, Any]) -> None:
     assert cell.mode is Mode.HOLDING
 
 
-def test_an_episode_of_the_robot_is_recorded_and_loaded_by_lerobots_dataset(
-    cell: Cell, tmp_path: Path
-) -> None:
+def test_an_episode_of_the_robot_is_recorded_and_loaded_by_lerobots_dataset(cell: Cell, tmp_path: Path) -> None:
     datasets: Any = pytest.importorskip("lerobot.datasets.lerobot_dataset")
     try:
         from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_features  # lerobot 0.6
@@ -279,17 +267,12 @@ def test_an_episode_of_the_robot_is_recorded_and_loaded_by_lerobots_dataset(
         **hw_to_dataset_features(robot.observation_features, "observation"),
         **hw_to_dataset_features(robot.action_features, "action"),
     }
-    written = datasets.LeRobotDataset.create(
-        "me/mock", 30, features, tmp_path / "set", robot.name, use_videos=False
-    )
+    written = datasets.LeRobotDataset.create("me/mock", 30, features, tmp_path / "set", robot.name, use_videos=False)
     wanted, states = goal(robot.get_observation(), 5.0), []
     for _ in range(20):
         seen, sent = robot.get_observation(), robot.send_action(wanted)
         states.append(list(seen.values()))
-        frame = {
-            **build_dataset_frame(features, seen, "observation"),
-            **build_dataset_frame(features, sent, "action"),
-        }
+        frame = {**build_dataset_frame(features, seen, "observation"), **build_dataset_frame(features, sent, "action")}
         written.add_frame({**frame, "task": "move"})
         cell.run(STEP_s)
     written.save_episode()
@@ -311,11 +294,7 @@ def test_what_armwright_exports_is_loaded_by_lerobots_dataset(tmp_path: Path) ->
         running.move_joints([0.2, 0.1, -0.1, 0.1, 0.2])
         recording = running.recording
     out = tmp_path / "set"
-    assert (
-        main(["export", str(recording), "--lerobot", "--task", "move", "--fps", "50", "--out", str(out)]) == 0
-    )
+    assert main(["export", str(recording), "--lerobot", "--task", "move", "--fps", "50", "--out", str(out)]) == 0
     loaded = datasets.LeRobotDataset("me/mock", root=out)
     assert (loaded.num_episodes, loaded.fps) == (1, 50)
-    np.testing.assert_allclose(
-        loaded[len(loaded) - 1]["action"].numpy(), [0.2, 0.1, -0.1, 0.1, 0.2], atol=1e-3
-    )
+    np.testing.assert_allclose(loaded[len(loaded) - 1]["action"].numpy(), [0.2, 0.1, -0.1, 0.1, 0.2], atol=1e-3)

@@ -17,35 +17,19 @@ from benchmarks.arms import SIX, circle_in_place
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "python.md").read_text("utf-8")
-HEAVY = (
-    "numpy",
-    "scipy",
-    "mujoco",
-    "matplotlib",
-    "can",
-    "serial",
-    "msgspec",
-    "rich",
-    "ruckig",
-    "textual",
-    "mcap",
-)
+HEAVY = ("numpy", "scipy", "mujoco", "matplotlib", "can", "serial", "msgspec", "rich", "ruckig", "textual", "mcap")
 
 
 def test_importing_it_loads_nothing_heavy_and_none_of_its_own_modules() -> None:
     program = "import sys, armwright; print(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    ).stdout.split()
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert not set(HEAVY) & set(loaded)
     assert [name for name in loaded if name.startswith(("armwright.", "control", "calib", "console"))] == []
 
 
 def test_the_page_names_what_is_exported_and_nothing_else() -> None:
     tables = PAGE[PAGE.index("## Names") :]
-    named = {
-        name for row in re.findall(r"^\| .*", tables, re.M) for name in re.findall(r"`([A-Za-z_]\w*)`", row)
-    }
+    named = {name for row in re.findall(r"^\| .*", tables, re.M) for name in re.findall(r"`([A-Za-z_]\w*)`", row)}
     assert named == set(armwright.__all__)
     assert set(dir(armwright)) == {*armwright.__all__, "__version__"}
 
@@ -64,12 +48,7 @@ def test_help_shows_types_by_the_names_that_their_authors_gave_them() -> None:
 def test_what_a_type_checker_sees_is_what_is_loaded() -> None:
     tree = ast.parse((ROOT / "armwright" / "__init__.py").read_text("utf-8"))
     checked = next(node for node in tree.body if isinstance(node, ast.If))
-    seen = {
-        alias.name: node.module
-        for node in checked.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    seen = {alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert list(armwright.__all__) == sorted(seen)
     for name, module in seen.items():
         found = getattr(armwright, name)
@@ -96,9 +75,7 @@ def functions() -> list[tuple[str, object]]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("name", "public"), functions(), ids=lambda value: value if isinstance(value, str) else ""
-)
+@pytest.mark.parametrize(("name", "public"), functions(), ids=lambda value: value if isinstance(value, str) else "")
 def test_every_public_name_is_documented_and_typed(name: str, public: object) -> None:
     assert inspect.getdoc(public), name
     if inspect.isfunction(public):
@@ -151,11 +128,7 @@ def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
         armwright.plan_path(arm, [[1.0, 2.0], [3.0, 4.0]])
     with pytest.raises(armwright.CalibrationError, match=r"tip_m: expected shape \(1, 3\), got \(1, 2\)"):
         armwright.make_points([[1.0, 2.0, 3.0]], [[1.0, 2.0]])
-    for look in (
-        armwright.calibrate,
-        armwright.find_gap,
-        lambda arm, points: armwright.verify(arm, arm, points),
-    ):
+    for look in (armwright.calibrate, armwright.find_gap, lambda arm, points: armwright.verify(arm, arm, points)):
         with pytest.raises(armwright.CalibrationError, match="points: 2 joints, but arm right has 3"):
             look(arm, two_joints)
     with pytest.raises(armwright.RuntimeGone, match="start one with `armwright serve`"):

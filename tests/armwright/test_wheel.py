@@ -26,20 +26,14 @@ for _, folder, _, names in build._get_data_files():
 
 def test_a_wheel_has_every_module_and_every_file_of_data() -> None:
     ended = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", LIST],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
+        [sys.executable, "-W", "ignore", "-c", LIST], cwd=ROOT, capture_output=True, text=True, check=True, timeout=300
     )
     listed = {(ROOT / line).resolve() for line in ended.stdout.splitlines() if line}
     there = {
         file
         for package in PACKAGES
         for file in (ROOT / package).rglob("*")
-        if file.is_file()
-        and not any(part == "__pycache__" or part.endswith(".egg-info") for part in file.parts)
+        if file.is_file() and not any(part == "__pycache__" or part.endswith(".egg-info") for part in file.parts)
     }
     assert there - listed == set()
     kinds = {file.suffix for file in listed}

@@ -14,10 +14,7 @@ from control.model.arm import Arm, Link, Tool
 
 def arm_of(model: ChainModel, dh: np.ndarray) -> Arm:
     """The same arm as control knows it."""
-    links = tuple(
-        Link("revolute" if turns else "fixed", *row)
-        for row, turns in zip(dh.tolist(), model.joints, strict=True)
-    )
+    links = tuple(Link("revolute" if turns else "fixed", *row) for row, turns in zip(dh.tolist(), model.joints, strict=True))
     convention = "modified" if model.modified else "standard"
     return Arm("test", links, dh_convention=convention, tool=Tool(model.tool_m))
 

@@ -19,9 +19,7 @@ RIGHT = load_arm("right")
 SEED_POSE = np.array([0.0, -1.0, 0.0])
 
 
-def seated(
-    model: ArmModel, dh: np.ndarray, tips_m: np.ndarray, seed_rad: np.ndarray = SEED_POSE
-) -> np.ndarray:
+def seated(model: ArmModel, dh: np.ndarray, tips_m: np.ndarray, seed_rad: np.ndarray = SEED_POSE) -> np.ndarray:
     """Joint angles (m, n) that put the tip of an arm with parameters dh at tips_m, by Newton's steps."""
     q = np.tile(seed_rad, (len(tips_m), 1))
     for _ in range(40):
@@ -41,11 +39,7 @@ def true_dh(rng: np.random.Generator, arm: Arm = RIGHT, size: float = 0.6) -> np
 
 
 def board_points(
-    rng: np.random.Generator,
-    dh: np.ndarray,
-    setups: tuple[str, ...] = SETUPS,
-    noise_m: float = NOISE_m,
-    is_measured: bool = True,
+    rng: np.random.Generator, dh: np.ndarray, setups: tuple[str, ...] = SETUPS, noise_m: float = NOISE_m, is_measured: bool = True
 ) -> Points:
     """All cavities of the given setups; the camera measures the tips, or nothing does and seating is as noisy."""
     places = [(s, name, place) for s in setups for name, place in cavities(table_of(RIGHT), s).items()]
@@ -67,9 +61,7 @@ def with_rows(points: Points, q_rad: np.ndarray | None = None, tip_m: np.ndarray
     )
 
 
-def solved(
-    points: Points, choice: Choice | None = None, is_smooth: bool = False
-) -> tuple[ArmProblem, np.ndarray]:
+def solved(points: Points, choice: Choice | None = None, is_smooth: bool = False) -> tuple[ArmProblem, np.ndarray]:
     """The problem of the reference arm and its optimum x."""
     problem = problem_of(RIGHT, points, choice)
     return problem, minimise(problem, LeastSquares() if is_smooth else SumOfDistances(), starts_count=1).x

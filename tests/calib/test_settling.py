@@ -43,9 +43,7 @@ def test_what_jumps_to_and_fro_or_away_ends_without_a_count_and_stays_where_it_w
 
 
 @pytest.mark.parametrize(("rate", "most"), [(0.97, STEPS_MOST), (0.999999, STEPS_MOST), (0.8, FITS_MOST)])
-def test_what_would_not_settle_in_a_useful_number_of_steps_is_left_soon_and_said(
-    rate: float, most: int
-) -> None:
+def test_what_would_not_settle_in_a_useful_number_of_steps_is_left_soon_and_said(rate: float, most: int) -> None:
     settling, count, step = Settling(most), 0, np.array([1.0, 1.0])
     while settling.goes_on:
         settling.takes(step, 1e-9)

@@ -18,24 +18,18 @@ def test_columns_are_as_wide_as_their_widest_cell_and_numbers_end_under_each_oth
     assert aligned([], left=2) == ""
 
 
-def test_with_json_the_result_is_one_document_in_which_what_is_not_finite_is_null(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_with_json_the_result_is_one_document_in_which_what_is_not_finite_is_null(capsys: pytest.CaptureFixture[str]) -> None:
     answer(argparse.Namespace(json=True), {"error_m": math.nan, "most_m": math.inf}, "in words")
     assert json.loads(capsys.readouterr().out) == {"error_m": None, "most_m": None}
 
 
-def test_with_json_a_written_file_is_printed_as_it_stands(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_with_json_a_written_file_is_printed_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "result.json").write_text('{"a": 1}\n', "utf-8")
     answer(argparse.Namespace(json=True), tmp_path / "result.json", "in words")
     assert capsys.readouterr().out == '{"a": 1}\n'
 
 
-def test_without_json_the_words_come_first_and_then_where_the_files_are(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_without_json_the_words_come_first_and_then_where_the_files_are(capsys: pytest.CaptureFixture[str]) -> None:
     answer(argparse.Namespace(json=False), {}, "in words\n", {"report": Path("out/report.html")})
     assert capsys.readouterr().out == "in words\n\n  report  out/report.html\n"
     answer(argparse.Namespace(json=False), {}, "in words")

@@ -27,9 +27,7 @@ signal.pause()
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_child_ends_with_a_killed_parent_that_was_started_with_signals_ignored(name: str) -> None:
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT.replace("{name}", name)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        [sys.executable, "-c", PARENT.replace("{name}", name)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
     assert parent.stdout is not None
     assert parent.stdout.readline() == b"begun\n"

@@ -44,9 +44,7 @@ def test_a_run_that_goes_on_in_the_next_file_is_read_whole(tmp_path: Path, parts
     assert grown.of_run(3)["cycle"].tolist() == [28]
 
 
-def test_a_verification_reads_every_part_and_waits_for_the_newest(
-    tmp_path: Path, parts: RecordingParts
-) -> None:
+def test_a_verification_reads_every_part_and_waits_for_the_newest(tmp_path: Path, parts: RecordingParts) -> None:
     for first in (0, 4, 8):
         parts.append(rows(first, 4, run=1))
     assert recorded(tmp_path / "a.armlog")["cycle"].tolist() == list(range(12))

@@ -39,18 +39,31 @@ def session(file: Path) -> object:
 
 
 READERS: dict[str, Callable[[Path], object]] = {
-    "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
-    "path.csv": read_waypoints, "boards.json": read_boards, "session.json": session, "run.armlog": Recording.open,
-    "programme.json": read_rectangle, "places.toml": read_places,
-}  # fmt: skip
+    "arm.toml": load_arm,
+    "points.csv": read_points,
+    "log.csv": read_log,
+    "markers.csv": read_markers,
+    "path.csv": read_waypoints,
+    "boards.json": read_boards,
+    "session.json": session,
+    "run.armlog": Recording.open,
+    "programme.json": read_rectangle,
+    "places.toml": read_places,
+}
 HOSTILE = {
-    "nested": DEEP.encode(), "nested table": b"a = " + DEEP.encode(), "binary": bytes(range(256)) * 50, "empty": b"",
-    "one long line": b"x" * (1 << 22), "long field": b"setup,point,repeat\n" + b"y" * (1 << 20) + b",1,1\n",
-    "quote that never ends": b'setup,point,repeat,q1_rad\n"' + b"z\n" * 200_000, "nothing but commas": b"," * 300_000,
+    "nested": DEEP.encode(),
+    "nested table": b"a = " + DEEP.encode(),
+    "binary": bytes(range(256)) * 50,
+    "empty": b"",
+    "one long line": b"x" * (1 << 22),
+    "long field": b"setup,point,repeat\n" + b"y" * (1 << 20) + b",1,1\n",
+    "quote that never ends": b'setup,point,repeat,q1_rad\n"' + b"z\n" * 200_000,
+    "nothing but commas": b"," * 300_000,
     "armlog that lies": MAGIC + struct.pack("<I", 0xFFFFFFFF) + b"{}",
     "armlog of padding": MAGIC + struct.pack("<I", 58) + b'{"packing": "<1999999999x", "names": [], "joint_count": 1}',
-    "numbers without end": b"9" * (1 << 20), "deep keys": ("a." * 20_000 + "b = 1").encode(),
-}  # fmt: skip
+    "numbers without end": b"9" * (1 << 20),
+    "deep keys": ("a." * 20_000 + "b = 1").encode(),
+}
 
 ALLOWED = {("places.toml", "empty"), ("places.toml", "deep keys")}  # a file without places is one
 
@@ -68,9 +81,7 @@ def little_memory() -> Iterator[None]:
 
 @pytest.mark.parametrize("content", HOSTILE, ids=str)
 @pytest.mark.parametrize("name", READERS)
-def test_whatever_a_file_holds_its_reader_answers_with_one_error(
-    tmp_path: Path, name: str, content: str
-) -> None:
+def test_whatever_a_file_holds_its_reader_answers_with_one_error(tmp_path: Path, name: str, content: str) -> None:
     file = tmp_path / name
     file.write_bytes(HOSTILE[content])
     begun_s, said = time.process_time(), "nothing"

@@ -57,10 +57,7 @@ def test_points_that_a_session_recorded_of_another_arm_are_refused(command, tmp_
     (tmp_path / "session.json").write_text(json.dumps({"arm": "left"}))
     out = tmp_path / "out"
     assert main([*COMMANDS[command], "--points", str(tmp_path / "points.csv"), "--out", str(out)]) == 2
-    assert (
-        'expected points of arm "right", got points of "left" according to session.json beside it'
-        in capsys.readouterr().err
-    )
+    assert 'expected points of arm "right", got points of "left" according to session.json beside it' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("mark", "name"), [(";", "semicolons"), ("\t", "tabs")])

@@ -21,9 +21,12 @@ from tests.pair import PAIR
 
 RIGHT = PAIR.placed("right").arm
 STATUS: dict[str, Any] = {
-    "ok": True, "mode": "HOLDING", "is_homed": True, "tip_set_m": (0.5, 0.1, 0.3),
+    "ok": True,
+    "mode": "HOLDING",
+    "is_homed": True,
+    "tip_set_m": (0.5, 0.1, 0.3),
     "fingerprint": fingerprint(PAIR.placed("left").arm),
-}  # fmt: skip
+}
 Serve = Callable[[str, dict[str, Any]], None]
 
 
@@ -35,9 +38,7 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
     ended, threads = threading.Event(), []
 
     def start(name: str, status: dict[str, Any]) -> None:
-        server = Server(
-            tmp_path / "s" / f"{name}.sock", lambda request, client: dict(status), lambda client: None
-        )
+        server = Server(tmp_path / "s" / f"{name}.sock", lambda request, client: dict(status), lambda client: None)
 
         def run() -> None:
             while not ended.wait(0.001):
@@ -66,10 +67,7 @@ def test_offsets_are_from_the_other_tip_along_the_axes_of_the_cell(serve: Serve)
 
 @pytest.mark.parametrize(
     ("changed", "said"),
-    [
-        ({"mode": "MOVING"}, "it is MOVING and homed"),
-        ({"tip_set_m": None, "is_homed": False}, "it is HOLDING and not homed"),
-    ],
+    [({"mode": "MOVING"}, "it is MOVING and homed"), ({"tip_set_m": None, "is_homed": False}, "it is HOLDING and not homed")],
 )
 def test_the_other_arm_must_be_homed_and_at_rest(serve: Serve, changed: dict[str, Any], said: str) -> None:
     serve("left", STATUS | changed)

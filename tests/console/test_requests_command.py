@@ -59,9 +59,7 @@ def test_guide_lets_the_arm_go_where_it_is_confirmed_until_a_line_is_typed(
     monkeypatch.setattr(sys, "stderr", Typed())
     modes: list[str] = []
     cell.watchers.append(lambda: modes.append(cell.mode.name))
-    monkeypatch.setattr(
-        requests.select, "select", lambda *_: ([sys.stdin] if len(modes) > 50 else [], [], [])
-    )
+    monkeypatch.setattr(requests.select, "select", lambda *_: ([sys.stdin] if len(modes) > 50 else [], [], []))
     assert main(["guide"]) == 0
     assert "GUIDING" in modes
     assert client.status()["mode"] == "HOLDING"
@@ -102,9 +100,7 @@ def test_off_asks_before_boards_let_an_arm_go_that_they_held(
         assert (cell.mode, cell.torques()) == (Mode.OFF, [False] * 3)
 
 
-def test_enable_and_home_say_that_there_was_nothing_to_do(
-    client: ArmClient, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_enable_and_home_say_that_there_was_nothing_to_do(client: ArmClient, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["enable"]) == 0
     assert "already on" in capsys.readouterr().out
     assert main(["home"]) == 0
@@ -133,12 +129,7 @@ def test_waiting_shows_each_step_once_where_there_is_no_terminal(
     for answer in answers():
         progress(answer)
     progress.close()
-    assert capsys.readouterr().err.splitlines() == [
-        "home: joint 1",
-        "home: joint 2",
-        "home: 10 %",
-        "home: 50 %",
-    ]
+    assert capsys.readouterr().err.splitlines() == ["home: joint 1", "home: joint 2", "home: 10 %", "home: 50 %"]
 
 
 def test_waiting_redraws_one_line_on_a_terminal_and_takes_it_away(monkeypatch: pytest.MonkeyPatch) -> None:

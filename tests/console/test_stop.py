@@ -91,9 +91,7 @@ def test_an_arm_file_that_cannot_be_read_stops_all_and_says_why(
     assert "stopping every runtime of this user instead" in error
 
 
-def test_a_runtime_that_listens_elsewhere_is_found_by_its_link(
-    folder: Path, serve: Serve, tmp_path: Path
-) -> None:
+def test_a_runtime_that_listens_elsewhere_is_found_by_its_link(folder: Path, serve: Serve, tmp_path: Path) -> None:
     asked = serve(tmp_path / "elsewhere.sock", "right")
     with channel.linked(tmp_path / "elsewhere.sock", "right"):
         assert main(["stop"]) == 0
@@ -116,9 +114,7 @@ def test_a_runtime_that_hangs_fails_the_stop_but_not_that_of_the_others(
     assert "hung.sock does not answer" in said.err
 
 
-def test_a_socket_that_a_killed_runtime_left_is_no_runtime(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_socket_that_a_killed_runtime_left_is_no_runtime(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket(socket.AF_UNIX) as left_over:
         left_over.bind(str(folder / "right.sock"))
     assert main(["stop"]) == 1

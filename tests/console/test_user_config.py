@@ -36,9 +36,7 @@ def test_option_comes_before_environment_before_config_before_the_built_in_arm(
     assert arm_meant(capsys, "left") == "left"
 
 
-def test_a_path_in_the_config_is_seen_from_its_folder(
-    config: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_path_in_the_config_is_seen_from_its_folder(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_arm(load_arm("left"), config.with_name("mine.toml"))
     config.write_text('arm = "mine.toml"\n')
     assert arm_meant(capsys) == "left"
@@ -50,9 +48,10 @@ def test_a_path_in_the_config_is_seen_from_its_folder(
         ("arm = [\n", "not valid TOML"),
         ("arm = 3\n", "expected the path of an arm.toml"),
         ('arn = "left"\n', "unknown key 'arn'"),
-        ('arm = "none.toml"\n', "no file"), ('arm = ""\n', "expected the path"),
+        ('arm = "none.toml"\n', "no file"),
+        ('arm = ""\n', "expected the path"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_the_config_is_one_sentence_that_names_it(
     config: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

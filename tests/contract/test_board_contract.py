@@ -81,9 +81,7 @@ def test_nothing_is_driven_before_enable_nor_after_off(on_boards: OnBoards) -> N
 OBEYING = ("vesc", "roboclaw")  # their next command drives them again, whatever somebody else has sent
 # They say that they have torque before they are told to let go; the others obey within the cycle.
 HOLDING_AT_ONCE = ("feetech", "servo", "odrive")
-DURING_A_CYCLE = (
-    0.4  # of the period: at its end, a goal may switch a Feetech servo on again before its state is read
-)
+DURING_A_CYCLE = 0.4  # of the period: at its end, a goal may switch a Feetech servo on again before its state is read
 
 
 def test_off_is_without_torque_however_soon_it_follows_enable(on_boards: OnBoards) -> None:
@@ -98,9 +96,7 @@ def test_off_is_without_torque_however_soon_it_follows_enable(on_boards: OnBoard
         assert (cell.mode, cell.faults) == (Mode.OFF, [])
 
 
-def test_a_held_arm_is_left_so_by_connecting_and_taken_over_without_a_step(
-    holding: Cell, on_boards: OnBoards
-) -> None:
+def test_a_held_arm_is_left_so_by_connecting_and_taken_over_without_a_step(holding: Cell, on_boards: OnBoards) -> None:
     with restarted(holding, on_boards.arm, on_boards.period_s) as cell:
         is_held, before_rad = cell.torques(), cell.rig.joint_rad()
         held_rad = [q for q, held in zip(before_rad, is_held, strict=True) if held]
@@ -122,9 +118,7 @@ def test_a_held_arm_is_left_so_by_connecting_and_taken_over_without_a_step(
         assert held_now_rad() == pytest.approx(held_rad, abs=5e-3)
 
 
-def test_a_drive_that_somebody_else_switched_off_is_a_fault_and_stays_off(
-    holding: Cell, on_boards: OnBoards
-) -> None:
+def test_a_drive_that_somebody_else_switched_off_is_a_fault_and_stays_off(holding: Cell, on_boards: OnBoards) -> None:
     if on_boards.first.startswith(OBEYING):
         return
     at_s = holding.rig.clock.now_s() + DURING_A_CYCLE * on_boards.period_s

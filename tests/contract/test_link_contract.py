@@ -39,9 +39,7 @@ def bus_opener(kind: str) -> JoinBus:
         return lambda: open_can("virtual", f"contract-{os.getpid()}")
     if not has_multicast():
         pytest.skip("no multicast on this machine")
-    with socket.socket(
-        socket.AF_INET, socket.SOCK_DGRAM
-    ) as probe:  # a port of our own: tests run side by side
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # a port of our own: tests run side by side
         probe.bind(("", 0))
         port = probe.getsockname()[1]
     return lambda: open_can("udp_multicast", MULTICAST_GROUP, port=port)
@@ -305,9 +303,7 @@ def test_noise_on_the_multicast_group_is_counted_and_never_raised() -> None:
     friend.close()
 
 
-def test_receiving_never_waits_when_the_time_of_day_steps_back(
-    join: JoinBus, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_receiving_never_waits_when_the_time_of_day_steps_back(join: JoinBus, monkeypatch: pytest.MonkeyPatch) -> None:
     """python-can's recv(timeout=0) reads it twice, and waited for as long as the step."""
     here = join()
     begun_s, reads = time.monotonic(), itertools.count()

@@ -38,9 +38,7 @@ def files_up_to(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_file_for_which_there_is_no_room_stays_as_it_was_and_nothing_is_left_beside_it(
-    tmp_path: Path,
-) -> None:
+def test_a_file_for_which_there_is_no_room_stays_as_it_was_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
     file = tmp_path / "report.html"
     write_whole(file, "the old one")
     with files_up_to(5), pytest.raises(NotWritten, match=r"report\.html: not written: File too large"):
@@ -71,10 +69,7 @@ def test_a_writer_that_is_interrupted_leaves_no_file(tmp_path: Path) -> None:
 
 def test_the_file_beside_keeps_the_ending_and_a_name_that_the_system_takes(tmp_path: Path) -> None:
     for name in ("a.csv.gz", "x" * 250 + ".png"):
-        assert (
-            make_whole(tmp_path / name, lambda beside: (beside.write_bytes(b"-"), beside.suffix)[1])
-            == Path(name).suffix
-        )
+        assert make_whole(tmp_path / name, lambda beside: (beside.write_bytes(b"-"), beside.suffix)[1]) == Path(name).suffix
 
 
 def test_a_new_file_never_takes_the_place_of_another(tmp_path: Path) -> None:
@@ -162,9 +157,7 @@ def test_a_folder_that_is_put_in_the_place_of_ours_gets_nothing(tmp_path: Path, 
     assert not (shared / "places.toml").is_symlink()
 
 
-def test_a_file_is_appended_through_links_of_ours_only(
-    tmp_path: Path, precious: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_appended_through_links_of_ours_only(tmp_path: Path, precious: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     link = tmp_path / "history.jsonl"
     link.symlink_to(precious)
     with open_to_append(link) as file:

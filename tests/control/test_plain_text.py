@@ -41,9 +41,7 @@ def _put(monkeypatch: pytest.MonkeyPatch, encoding: str) -> io.BytesIO:
         ("\U0001f916", b"\\U0001f916"),
     ],
 )
-def test_what_a_terminal_cannot_show_is_said_in_ascii(
-    monkeypatch: pytest.MonkeyPatch, text: str, plain: bytes
-) -> None:
+def test_what_a_terminal_cannot_show_is_said_in_ascii(monkeypatch: pytest.MonkeyPatch, text: str, plain: bytes) -> None:
     shown = _put(monkeypatch, "ascii")
     prepare_streams()
     sys.stdout.write(text)
@@ -74,9 +72,7 @@ def test_a_utf_8_terminal_shows_everything_as_it_is(monkeypatch: pytest.MonkeyPa
     ],
     ids=lambda given: given[0] if isinstance(given, list) else "",
 )
-def test_commands_take_any_path_on_a_plain_ascii_terminal(
-    tmp_path: Path, arguments: list[str], status: int
-) -> None:
+def test_commands_take_any_path_on_a_plain_ascii_terminal(tmp_path: Path, arguments: list[str], status: int) -> None:
     name = "Prüfung ".encode() + b"by\xfcte"
     folder = os.fsencode(tmp_path) + b"/" + name
     Path(os.fsdecode(folder)).mkdir()

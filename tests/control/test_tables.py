@@ -67,18 +67,11 @@ def test_rows_come_with_their_lines_whatever_ends_a_line(name: str, end: str, tm
     path = tmp_path / name
     path.write_bytes(gzip.compress(text) if name.endswith("gz") else text)
     found = rows_of(path)
-    assert [row for _, row in found if row] == [
-        ["a", "b"],
-        ["1", "x, y"],
-        ["2", f"two{end}lines"],
-        ["3", "é"],
-    ]
+    assert [row for _, row in found if row] == [["a", "b"], ["1", "x, y"], ["2", f"two{end}lines"], ["3", "é"]]
     assert [line for line, row in found if row] == [1, 2, 5, 6]
 
 
-def test_a_small_packed_file_with_a_line_of_gigabytes_is_refused_in_the_memory_of_a_line(
-    tmp_path: Path,
-) -> None:
+def test_a_small_packed_file_with_a_line_of_gigabytes_is_refused_in_the_memory_of_a_line(tmp_path: Path) -> None:
     path = packed(tmp_path / "log.csv.gz", [b"run,t_s\n1,", *(b"0" * (1 << 20),) * 200])
     assert path.stat().st_size < 1 << 20
     assert "line 2 has more than 1 MB" in refusal(path)
@@ -123,16 +116,10 @@ FORM = TableFormat(
         TableColumn("name", "what it is", is_required=True, is_name=True),
         TableColumn("q{}_rad", "angles", is_required=True),
         TableColumn("count", "how many", is_whole=True, lower=0.0, mistaken_for=("thousands", 1e3)),
-        *(
-            TableColumn(name, "where", upper=10.0, mistaken_for=("millimetres", 1e-3))
-            for name in ("x_m", "y_m")
-        ),
+        *(TableColumn(name, "where", upper=10.0, mistaken_for=("millimetres", 1e-3)) for name in ("x_m", "y_m")),
         TableColumn("mass_kg", may_be_empty=False),
     ),
-    groups=(
-        ColumnGroup(("x_m", "y_m")),
-        ColumnGroup(("mass_kg",), beside=("x_m", "y_m"), since="it has a mass"),
-    ),
+    groups=(ColumnGroup(("x_m", "y_m")), ColumnGroup(("mass_kg",), beside=("x_m", "y_m"), since="it has a mass")),
     unwarned="remark",
 )
 
@@ -143,9 +130,7 @@ def content(tmp_path: Path, text: str, form: TableFormat = FORM, joints: int | N
     return read_table(path, form, ArmError, joints)
 
 
-def test_a_declared_table_comes_by_its_columns_in_any_order_with_the_lines_of_its_rows(
-    tmp_path: Path,
-) -> None:
+def test_a_declared_table_comes_by_its_columns_in_any_order_with_the_lines_of_its_rows(tmp_path: Path) -> None:
     table = content(tmp_path, "\nq2_rad, name ,q1_rad,remark,other\n2,a,1,x,y\n, ,\n\n4, b ,3,x,y\n")
     assert (len(table), table.joint_count) == (2, 2)
     assert table.words("name") == ["a", "b"]
@@ -160,10 +145,7 @@ def test_a_declared_table_comes_by_its_columns_in_any_order_with_the_lines_of_it
     ("text", "says"),
     [
         ("", "line 1: required column name is missing: the file is empty"),
-        (
-            "name,q1_deg\n",
-            "line 1: required column q1_rad is missing, got q1_deg: write radians (column q1_rad)",
-        ),
+        ("name,q1_deg\n", "line 1: required column q1_rad is missing, got q1_deg: write radians (column q1_rad)"),
         ("name;q1_rad;x_m\n", "line 1: the columns are separated by semicolons, expected commas"),
         ("name,q1_rad,name\n", "line 1: column name appears twice"),
         ("name,q1_rad,q3_rad\n", "line 1: required column q2_rad is missing, got name, q1_rad, q3_rad"),
@@ -174,29 +156,15 @@ def test_a_declared_table_comes_by_its_columns_in_any_order_with_the_lines_of_it
         ("name,q1_rad\n,1\n", "line 2, column name: got an empty cell, expected a name"),
         ("name,q1_rad\na,\n", "line 2, column q1_rad: got an empty cell, expected a finite number"),
         ("name,q1_rad\na,inf\n", 'line 2, column q1_rad: got "inf", expected a finite number'),
-        (
-            "name,q1_rad\n" + 300 * "a,1\n" + "a,b\n",
-            'line 302, column q1_rad: got "b", expected a finite number',
-        ),
+        ("name,q1_rad\n" + 300 * "a,1\n" + "a,b\n", 'line 302, column q1_rad: got "b", expected a finite number'),
         ("name,q1_rad,count\na,1,1.5\n", 'line 2, column count: got "1.5", expected a whole number'),
         ("name,q1_rad,count\na,1,-1\n", 'line 2, column count: got "-1", expected a whole number'),
-        (
-            "name,q1_rad,x_m,y_m\na,1,200,0\n",
-            'got "200", expected a finite number (millimetres? then write 0.2)',
-        ),
-        (
-            "name,q1_rad,x_m,y_m\na,1,,\na,1,0,\n",
-            "line 3, column y_m: got an empty cell, expected a number, since",
-        ),
-        (
-            "name,q1_rad,x_m,y_m,mass_kg\na,1,,,3\n",
-            "line 2, column x_m: got an empty cell, expected a number, since it has",
-        ),
+        ("name,q1_rad,x_m,y_m\na,1,200,0\n", 'got "200", expected a finite number (millimetres? then write 0.2)'),
+        ("name,q1_rad,x_m,y_m\na,1,,\na,1,0,\n", "line 3, column y_m: got an empty cell, expected a number, since"),
+        ("name,q1_rad,x_m,y_m,mass_kg\na,1,,,3\n", "line 2, column x_m: got an empty cell, expected a number, since it has"),
     ],
 )
-def test_a_wrong_table_is_one_error_with_line_column_and_what_was_expected(
-    tmp_path: Path, text: str, says: str
-) -> None:
+def test_a_wrong_table_is_one_error_with_line_column_and_what_was_expected(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(ArmError) as caught:
         content(tmp_path, text)
     assert says in str(caught.value)

@@ -45,9 +45,7 @@ def test_what_is_no_frame_is_dropped(datagram: bytes) -> None:
     assert unpack(datagram) is None
 
 
-@pytest.mark.parametrize(
-    "frame", [CameraFrame(0, float("nan"), (0.0, 0.0, 0.0)), CameraFrame(-1, 0.0, (0.0, 0.0, 0.0))]
-)
+@pytest.mark.parametrize("frame", [CameraFrame(0, float("nan"), (0.0, 0.0, 0.0)), CameraFrame(-1, 0.0, (0.0, 0.0, 0.0))])
 def test_a_frame_that_cannot_be_written_is_our_misuse(frame: CameraFrame) -> None:
     with pytest.raises(MisuseError):
         frame.pack()

@@ -37,9 +37,7 @@ sys.stdin.read()
 @contextmanager
 def host(*line: str) -> Iterator[subprocess.Popen[str]]:
     """Another program, of another user where this one may say so, that has the line open."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", HOST, *line], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([sys.executable, "-c", HOST, *line], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:
         assert process.stdout.readline() == "open\n"

@@ -7,15 +7,7 @@ import pytest
 from firmware_iface.encoder import wire
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.encoder.wire import Ack, AckResult, ChannelFlag, Frame, IndexLatch, Report
-from firmware_iface.errors import (
-    BoardRefused,
-    BoardReset,
-    BoardSilent,
-    LinkLost,
-    MisuseError,
-    ProtocolViolation,
-    WrongIdentity,
-)
+from firmware_iface.errors import BoardRefused, BoardReset, BoardSilent, LinkLost, MisuseError, ProtocolViolation, WrongIdentity
 from tests.firmware_iface.scripted import RX, TX, FakeClock, Script, ScriptedBytes
 
 Flags = tuple[int, int, int]
@@ -32,21 +24,15 @@ def first(*frames: Frame) -> bytes:
     return b"\x00" + send(*frames)
 
 
-def report(
-    sequence: int, time_us: int = 0, counts: tuple[int, int, int] = (0, 0, 0), flags: Flags = ZEROED
-) -> Report:
+def report(sequence: int, time_us: int = 0, counts: tuple[int, int, int] = (0, 0, 0), flags: Flags = ZEROED) -> Report:
     return Report(sequence & 0xFF, time_us & 0xFFFFFFFF, flags, counts)
 
 
-def identity(
-    request: int = 1, protocol: int = 1, serial_number: int = 77, sequence: int = 0
-) -> wire.Identity:
+def identity(request: int = 1, protocol: int = 1, serial_number: int = 77, sequence: int = 0) -> wire.Identity:
     return wire.Identity(sequence, protocol, request, 0x0100, serial_number, 3, (2048,) * 3, 32)
 
 
-def make(
-    script: Script | None = None, baud: int = 1_000_000
-) -> tuple[EncoderBoard, ScriptedBytes, FakeClock]:
+def make(script: Script | None = None, baud: int = 1_000_000) -> tuple[EncoderBoard, ScriptedBytes, FakeClock]:
     link, clock = ScriptedBytes(script or [], baud), FakeClock()
     return EncoderBoard(link, clock, "enc0"), link, clock
 
@@ -119,9 +105,7 @@ def test_an_answer_to_an_older_request_is_not_taken() -> None:
         board.stream(0.002)
 
 
-@pytest.mark.parametrize(
-    "result", [AckResult.UNKNOWN_REQUEST, AckResult.BAD_ARGUMENT, AckResult.NOT_POSSIBLE_NOW]
-)
+@pytest.mark.parametrize("result", [AckResult.UNKNOWN_REQUEST, AckResult.BAD_ARGUMENT, AckResult.NOT_POSSIBLE_NOW])
 def test_a_refusal_names_its_reason(result: AckResult) -> None:
     board, _, _ = make([(TX, first(wire.SetZero(1, 2, 5))), (RX, send(Ack(0, 1, result)))])
     with pytest.raises(BoardRefused, match=result.name.replace("_", " ").lower()):
@@ -130,9 +114,7 @@ def test_a_refusal_names_its_reason(result: AckResult) -> None:
 
 def test_request_sequences_run_from_1_to_255_and_leave_out_0() -> None:
     frames = [wire.Poll(number % 255 + 1) for number in range(300)]
-    board, link, _ = make(
-        [(TX, (b"\x00" if not at else b"") + send(frame)) for at, frame in enumerate(frames)]
-    )
+    board, link, _ = make([(TX, (b"\x00" if not at else b"") + send(frame)) for at, frame in enumerate(frames)])
     for _ in frames:
         board.poll()
     assert link.script == []
@@ -343,19 +325,14 @@ class TestIndex:
         assert board.index_latch(1) is None
 
     def test_an_index_right_behind_the_ack_is_kept(self) -> None:
-        script: Script = [
-            (TX, first(wire.ArmIndex(1, 1, 1))),
-            (RX, send(Ack(0, 1, 0), IndexLatch(1, 1, 5, 33))),
-        ]
+        script: Script = [(TX, first(wire.ArmIndex(1, 1, 1))), (RX, send(Ack(0, 1, 0), IndexLatch(1, 1, 5, 33)))]
         board, _, _ = make(script)
         board.arm_index(1)
         assert board.index_latch(1) == 33
 
     def test_a_lost_index_frame_is_asked_for_again(self) -> None:
         again = wire.ArmIndex(2, 1, 2)
-        board, link, clock = self.armed(
-            [(TX, send(again)), (RX, send(Ack(4, 2, 0), IndexLatch(5, 1, 5, 88)))]
-        )
+        board, link, clock = self.armed([(TX, send(again)), (RX, send(Ack(4, 2, 0), IndexLatch(5, 1, 5, 88)))])
         for step in range(3):
             clock.time_s += 0.011
             link.push(send(report(step + 1, step * 11_000, flags=LATCHED)))

@@ -110,13 +110,7 @@ def test_a_frame_too_short_for_a_crc_is_a_framing_error() -> None:
 
 
 @pytest.mark.parametrize(
-    "frame",
-    [
-        wire.Stream(1, -1),
-        wire.Stream(256, 1),
-        wire.SetZero(1, 0, 2**31),
-        wire.Report(0, 2**32, (0,) * 3, (0,) * 3),
-    ],
+    "frame", [wire.Stream(1, -1), wire.Stream(256, 1), wire.SetZero(1, 0, 2**31), wire.Report(0, 2**32, (0,) * 3, (0,) * 3)]
 )
 def test_a_number_that_does_not_fit_is_our_misuse(frame: wire.Frame) -> None:
     with pytest.raises(MisuseError, match="does not fit"):

@@ -20,11 +20,7 @@ def fail(problem: Exception) -> str:
 
 
 def test_one_connection_error_names_every_device_that_failed() -> None:
-    steps = [
-        lambda: "enc0",
-        lambda: fail(BoardSilent("motor board 2: x")),
-        lambda: fail(PortMissing("can0: y")),
-    ]
+    steps = [lambda: "enc0", lambda: fail(BoardSilent("motor board 2: x")), lambda: fail(PortMissing("can0: y"))]
     with pytest.raises(ConnectionFailed) as caught:
         connect_all(steps)
     assert str(caught.value) == "cannot connect:\n  - motor board 2: x\n  - can0: y"
@@ -57,9 +53,7 @@ def test_a_board_that_babbles_fills_no_memory_and_hides_no_restart() -> None:
     assert isinstance(problems[-1], BoardReset)
 
 
-def test_the_clock_waits_until_an_absolute_time_and_not_for_one_that_has_passed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_clock_waits_until_an_absolute_time_and_not_for_one_that_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [5.0]
     slept = []
 

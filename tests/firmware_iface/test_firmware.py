@@ -22,9 +22,7 @@ def test_no_bytes_break_it(tmp_path: Path) -> None:
     """Whole, mutated and random frames, under the address and undefined-behaviour sanitizers (`make -C ... fuzz` for long)."""
     program = tmp_path / "fuzz"
     try:
-        build(
-            program, "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O0", sources=(SOURCES / "test/fuzz.c",)
-        )  # fmt: skip
+        build(program, "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O0", sources=(SOURCES / "test/fuzz.c",))
     except FirmwareError as problem:
         pytest.skip(f"the compiler has no sanitizers: {problem}")
     ended = subprocess.run([str(program), "7", str(FUZZ_FRAMES)], capture_output=True, text=True, check=False)
@@ -47,9 +45,8 @@ def test_the_bridge_of_a_board_that_cannot_go_on_is_off_before_its_watchdog_rese
     """The files for the Nucleo on this machine, their registers in memory: enable pin, MOE, duty of the bridge's inputs."""
     program, board = tmp_path / "nucleo", SOURCES / "bsp/nucleo_f446re"
     build(
-        program, f"-I{board}", "-Wno-conversion",
-        sources=(board / "stm32f446.c", board / "startup.c", SOURCES / "test/nucleo.c"),
-    )  # fmt: skip
+        program, f"-I{board}", "-Wno-conversion", sources=(board / "stm32f446.c", board / "startup.c", SOURCES / "test/nucleo.c")
+    )
     said = subprocess.run([str(program)], capture_output=True, text=True, check=True, timeout=30).stdout
     assert said.splitlines() == [
         "writes to a timer before its clock: 0",
@@ -77,9 +74,7 @@ def test_the_bridge_of_a_board_that_cannot_go_on_is_off_before_its_watchdog_rese
     reason="no arm-none-eabi-gcc: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi",
 )
 def test_it_compiles_for_the_board(tmp_path: Path) -> None:
-    made = subprocess.run(
-        ["make", "-C", str(SOURCES), "target", f"OUT={tmp_path}"], capture_output=True, text=True, check=False
-    )
+    made = subprocess.run(["make", "-C", str(SOURCES), "target", f"OUT={tmp_path}"], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     images = {file.name: file.stat().st_size for file in tmp_path.glob("*.bin")}
     assert set(images) == {"encoder_board.bin", "motor_board.bin"}
@@ -94,8 +89,12 @@ def test_it_compiles_for_the_board(tmp_path: Path) -> None:
 def test_an_emulated_cortex_m_says_the_same_as_this_machine(tmp_path: Path) -> None:
     made = subprocess.run(
         ["make", "-s", "-C", str(SOURCES), "replay", f"OUT={tmp_path}"],
-        capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+        timeout=120,
+    )
     assert made.returncode == 0, made.stderr
     here, there = [line for line in (made.stdout + made.stderr).splitlines() if line.startswith("sum ")]
     assert here == there

@@ -40,11 +40,7 @@ def imports() -> int:
     """How many imports `armwright arm` makes when nobody interrupts it."""
     counted = PROGRAM.replace("sys.exit(run_command())", "run_command()\nprint(-left)")
     ended = subprocess.run(
-        [sys.executable, "-c", counted, "0", "0", "arm", "right"],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
+        [sys.executable, "-c", counted, "0", "0", "arm", "right"], capture_output=True, text=True, check=True, timeout=60
     )
     return int(ended.stdout.split()[-1])
 
@@ -53,15 +49,9 @@ def imports() -> int:
 # and to SIGINT alone.
 @pytest.mark.parametrize(
     ("part", "number"),
-    [
-        (0.0, signal.SIGINT),
-        (0.01, signal.SIGINT),
-        *itertools.product([0.1, 0.25, 0.4, 0.6, 0.8, 0.95], interrupts.NUMBERS),
-    ],
+    [(0.0, signal.SIGINT), (0.01, signal.SIGINT), *itertools.product([0.1, 0.25, 0.4, 0.6, 0.8, 0.95], interrupts.NUMBERS)],
 )
-def test_an_interrupt_at_any_import_of_a_command_leaves_one_line(
-    part: float, number: signal.Signals, imports: int
-) -> None:
+def test_an_interrupt_at_any_import_of_a_command_leaves_one_line(part: float, number: signal.Signals, imports: int) -> None:
     count = 1 + int(part * imports)
     ended = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(int(number)), str(count), "arm", "right"],
@@ -75,9 +65,7 @@ def test_an_interrupt_at_any_import_of_a_command_leaves_one_line(
 
 @pytest.mark.parametrize("number", interrupts.NUMBERS)
 @pytest.mark.parametrize("module", ["console.main", "control.recording.writer", "hil_mocks.serve"])
-def test_a_child_that_is_interrupted_before_its_first_line_says_nothing(
-    module: str, number: signal.Signals
-) -> None:
+def test_a_child_that_is_interrupted_before_its_first_line_says_nothing(module: str, number: signal.Signals) -> None:
     with interrupts.held():
         child = subprocess.Popen(command(module), stdin=subprocess.PIPE, stderr=subprocess.PIPE)
     child.send_signal(number)
@@ -85,9 +73,7 @@ def test_a_child_that_is_interrupted_before_its_first_line_says_nothing(
     assert child.returncode == interrupts.STATUS
 
 
-def test_a_module_is_imported_whole_before_the_interrupt_is_raised(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_is_imported_whole_before_the_interrupt_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "compiled_one.py").write_text(
         "import signal\n"
         "try:\n"
@@ -117,15 +103,11 @@ def test_an_interrupt_that_falls_into_a_destructor_is_raised_behind_it() -> None
         "    except KeyboardInterrupt:\n"
         "        print('raised')\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
-    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert (ended.stdout, ended.stderr) == ("raised\n", "")
 
 
-def test_an_interrupt_at_the_last_import_of_a_block_is_raised_at_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_at_the_last_import_of_a_block_is_raised_at_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its second coming would be lost, or fall into Python's own end, where the alarm kills."""
     (tmp_path / "last_one.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\n")
     monkeypatch.syspath_prepend(tmp_path)

@@ -37,9 +37,7 @@ def ends() -> Iterator[tuple[FrameLink, can.BusABC]]:
         can.Message(arbitration_id=ERROR_PASSIVE, is_extended_id=False, is_error_frame=True, data=bytes(8)),
     ],
 )
-def test_what_is_no_classic_data_frame_is_dropped(
-    ends: tuple[FrameLink, can.BusABC], odd: can.Message
-) -> None:
+def test_what_is_no_classic_data_frame_is_dropped(ends: tuple[FrameLink, can.BusABC], odd: can.Message) -> None:
     link, far = ends
     far.send(odd)
     far.send(can.Message(arbitration_id=0x182, is_extended_id=False, data=b"ok"))
@@ -55,11 +53,7 @@ def test_fd_frames_have_up_to_64_bytes_switch_the_bit_rate_and_take_the_id_that_
     link.send(can_id, bytes(range(64)))
     heard = far.recv(0)
     assert heard is not None
-    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (
-        can_id,
-        is_long,
-        bytes(range(64)),
-    )
+    assert (heard.arbitration_id, heard.is_extended_id, bytes(heard.data)) == (can_id, is_long, bytes(range(64)))
     assert (heard.is_fd, heard.bitrate_switch) == (True, True)
     for is_extended in (False, True):
         far.send(can.Message(arbitration_id=0x300, is_extended_id=is_extended, is_fd=True, data=bytes(12)))
@@ -71,9 +65,7 @@ def test_fd_frames_have_up_to_64_bytes_switch_the_bit_rate_and_take_the_id_that_
 
 @pytest.mark.parametrize("opener", [open_extended_can, open_fd_can])
 def test_slcan_is_refused_for_frames_that_it_would_cut_short(opener: Callable[..., FrameLink]) -> None:
-    with pytest.raises(
-        PortMissing, match=r"slcan carries classic frames with 11-bit ids, not .*: use an adapter"
-    ):
+    with pytest.raises(PortMissing, match=r"slcan carries classic frames with 11-bit ids, not .*: use an adapter"):
         opener("slcan", "/dev/there-is-no-such-port")
 
 
@@ -116,9 +108,7 @@ def test_a_latency_timer_is_found_by_any_name_of_its_port_and_lowered(tmp_path: 
     assert file.read_text() == "1"
 
 
-def test_ports_have_the_stable_names_that_the_system_links_to_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ports_have_the_stable_names_that_the_system_links_to_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     device = tmp_path / "ttyUSB0"
     device.touch()
     folder = tmp_path / "by-id"

@@ -39,9 +39,7 @@ STATUSWORD = {
 DISABLED, ENABLED, FAULT = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED, DriveState.FAULT
 
 
-def sent(
-    controlword: int, sequence: int, mode: int = SetpointMode.VOLTAGE, setpoint: int = 0
-) -> tuple[str, int, bytes]:
+def sent(controlword: int, sequence: int, mode: int = SetpointMode.VOLTAGE, setpoint: int = 0) -> tuple[str, int, bytes]:
     return TX, 0x101, MotorCommand(controlword, mode, sequence & 0x1F, setpoint).pack()
 
 
@@ -97,10 +95,7 @@ class TestSetPoints:
 
     def test_quantities_are_sent_in_the_units_of_the_wire(self) -> None:
         position = MotorCommand(0x00, SetpointMode.POSITION, 4, -100_000, 250).pack()
-        script: FrameScript = [
-            sent(0, 1, SetpointMode.VOLTAGE, 12_346),
-            sent(0, 2, SetpointMode.CURRENT, -500),
-        ]
+        script: FrameScript = [sent(0, 1, SetpointMode.VOLTAGE, 12_346), sent(0, 2, SetpointMode.CURRENT, -500)]
         board, _, link, _ = make([*script, sent(0, 3, SetpointMode.OFF), (TX, 0x101, position)])
         board.command_voltage(12.3456)
         board.command_current(-0.5)
@@ -155,35 +150,23 @@ class TestStates:
         board.go_to(DriveState.READY_TO_SWITCH_ON)
 
     def test_a_board_that_is_not_ready_yet_is_waited_for(self) -> None:
-        script: FrameScript = [
-            sent(0, 1),
-            replied(DriveState.NOT_READY_TO_SWITCH_ON, 1),
-            sent(0, 2),
-            replied(DISABLED, 2),
-        ]
+        script: FrameScript = [sent(0, 1), replied(DriveState.NOT_READY_TO_SWITCH_ON, 1), sent(0, 2), replied(DISABLED, 2)]
         board, _, _, _ = make([*script, sent(0x06, 3), replied(DriveState.READY_TO_SWITCH_ON, 3)])
         board.go_to(DriveState.READY_TO_SWITCH_ON)
 
     def test_silence_is_said_after_the_time_out(self) -> None:
         board, _, _, clock = make([sent(0, number) for number in range(1, 30)])
-        with pytest.raises(
-            BoardSilent,
-            match=r"does not reach SWITCHED ON, stays in an unknown state.*check its supply, wiring",
-        ):
+        with pytest.raises(BoardSilent, match=r"does not reach SWITCHED ON, stays in an unknown state.*check its supply, wiring"):
             board.go_to(DriveState.SWITCHED_ON)
         assert clock.now_s() == pytest.approx(100.5, abs=0.01)
 
     def test_a_fault_is_never_acknowledged_in_passing(self) -> None:
-        board, _, link, _ = make(
-            [sent(0, 1), replied(FAULT, 1, MotorFault.WATCHDOG | MotorFault.OVER_CURRENT)]
-        )
+        board, _, link, _ = make([sent(0, 1), replied(FAULT, 1, MotorFault.WATCHDOG | MotorFault.OVER_CURRENT)])
         with pytest.raises(BoardFaulted, match=r"FAULT \(over current, watchdog\).*acknowledge"):
             board.go_to(ENABLED)
         assert link.script == []
 
-    @pytest.mark.parametrize(
-        "state", [DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY_TO_SWITCH_ON]
-    )
+    @pytest.mark.parametrize("state", [DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY_TO_SWITCH_ON])
     def test_no_command_leads_to_states_of_the_boards_own(self, state: DriveState) -> None:
         board, _, _, _ = make([])
         with pytest.raises(MisuseError, match="no command leads to"):
@@ -497,9 +480,7 @@ class TestParameters:
 
     def test_silence_is_said_after_three_times(self) -> None:
         board, _, _, _ = make([asked(0, 4, 1)] * 3)
-        with pytest.raises(
-            BoardSilent, match=r"parameter 4 \(POSITION_COUNT\) within 0.050 s, asked 3 times"
-        ):
+        with pytest.raises(BoardSilent, match=r"parameter 4 \(POSITION_COUNT\) within 0.050 s, asked 3 times"):
             board.read(MotorParameter.POSITION_COUNT)
 
     def test_an_answer_to_an_older_request_is_not_taken(self) -> None:

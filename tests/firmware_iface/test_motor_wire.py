@@ -75,9 +75,7 @@ FRAMES: dict[str, Frame] = {
     "COMMAND shutdown": MotorCommand(0x06, SetpointMode.OFF, 1, 0),
     "COMMAND fault reset": MotorCommand(0x80, SetpointMode.OFF, 2, 0),
     "REPLY enabled": Reply(0x37, SetpointMode.VOLTAGE, 5, -2.5, 24.0, 41, 0),
-    "REPLY fault": Reply(
-        0x18, SetpointMode.OFF, 9, 0.0, 23.95, -5, wire.MotorFault.WATCHDOG | wire.MotorFault.EMERGENCY_STOP
-    ),
+    "REPLY fault": Reply(0x18, SetpointMode.OFF, 9, 0.0, 23.95, -5, wire.MotorFault.WATCHDOG | wire.MotorFault.EMERGENCY_STOP),
     "PARAMETER_REQUEST write kp": ParameterRequest(1, 16, 1, 6135),
     "PARAMETER_ANSWER kp": ParameterAnswer(0, 16, 1, 6135),
     "PARAMETER_REQUEST read serial number": ParameterRequest(0, 1, 2),
@@ -123,20 +121,14 @@ def test_the_nodes_of_the_dbc_are_copies_of_node_1(dbc: Any) -> None:
     for message in dbc.messages:
         if message.name[-1] in "23":
             first = dbc.get_message_by_name(f"{message.name[:-1]}1")
-            ours = [
-                (s.name, s.start, s.length, s.is_signed, s.scale, s.unit, s.choices) for s in message.signals
-            ]
-            assert ours == [
-                (s.name, s.start, s.length, s.is_signed, s.scale, s.unit, s.choices) for s in first.signals
-            ]
+            ours = [(s.name, s.start, s.length, s.is_signed, s.scale, s.unit, s.choices) for s in message.signals]
+            assert ours == [(s.name, s.start, s.length, s.is_signed, s.scale, s.unit, s.choices) for s in first.signals]
 
 
 @pytest.mark.parametrize("mode", SetpointMode)
 @pytest.mark.parametrize("setpoint_raw", I32)
 @pytest.mark.parametrize("feedforward_mV", [-32768, 0, 32767])
-def test_commands_are_those_of_the_dbc(
-    dbc: Any, mode: SetpointMode, setpoint_raw: int, feedforward_mV: int
-) -> None:
+def test_commands_are_those_of_the_dbc(dbc: Any, mode: SetpointMode, setpoint_raw: int, feedforward_mV: int) -> None:
     for sequence in (0, 1, 31):
         command = MotorCommand(0x8F, mode, sequence, setpoint_raw, feedforward_mV)
         signals = dbc.decode_message("COMMAND_1", command.pack(), scaling=False, decode_choices=False)
@@ -156,18 +148,14 @@ def test_commands_are_those_of_the_dbc(
 @pytest.mark.parametrize("current_mA", [-32768, -1, 0, 32767])
 @pytest.mark.parametrize("supply_mV", [0, 24_000, 65535])
 @pytest.mark.parametrize("temperature", [-128, 127])
-def test_replies_are_those_of_the_dbc(
-    dbc: Any, statusword: int, current_mA: int, supply_mV: int, temperature: int
-) -> None:
+def test_replies_are_those_of_the_dbc(dbc: Any, statusword: int, current_mA: int, supply_mV: int, temperature: int) -> None:
     for faults in (0, 0x01, 0x80, 0xA5, 0xFF):
         bits = {name: faults >> bit & 1 for bit, name in enumerate(FAULTS)}
         signals = {"Statusword": statusword, "Mode": 3, "EchoedSequence": 31, "Current": current_mA * 1e-3}
         signals |= {"Supply": supply_mV * 1e-3, "Temperature": temperature} | bits
         payload = dbc.encode_message("REPLY_1", signals)
         reply = unpack_reply(payload)
-        assert reply == pytest.approx(
-            (statusword, 3, 31, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults), abs=1e-9
-        )
+        assert reply == pytest.approx((statusword, 3, 31, current_mA * 1e-3, supply_mV * 1e-3, temperature, faults), abs=1e-9)
         assert reply.pack() == payload
 
 
@@ -186,10 +174,7 @@ def test_digital_frames_are_those_of_the_dbc(dbc: Any) -> None:
 @pytest.mark.parametrize("index", wire.MotorParameter)
 def test_parameters_are_those_of_the_dbc(dbc: Any, index: wire.MotorParameter) -> None:
     signal_name = PARAMETER_SIGNALS[index]
-    for kind, first, frame_type in (
-        ("REQUEST", "Operation", ParameterRequest),
-        ("ANSWER", "Result", ParameterAnswer),
-    ):
+    for kind, first, frame_type in (("REQUEST", "Operation", ParameterRequest), ("ANSWER", "Result", ParameterAnswer)):
         for value in I32:
             payload = frame_type(1, index, 255, value).pack()
             signals = dbc.decode_message(f"PARAMETER_{kind}_1", payload, scaling=False, decode_choices=False)
@@ -241,12 +226,7 @@ def test_the_document_lists_every_parameter() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [
-        MotorCommand(0, 0, 0, 2**31),
-        MotorCommand(0, 0, 0, 0, 32768),
-        MotorCommand(256, 0, 0, 0),
-        MotorCommand(0, 0, 32, 0),
-    ],
+    [MotorCommand(0, 0, 0, 2**31), MotorCommand(0, 0, 0, 0, 32768), MotorCommand(256, 0, 0, 0), MotorCommand(0, 0, 32, 0)],
 )
 def test_a_number_that_does_not_fit_is_never_cut(command: MotorCommand) -> None:
     with pytest.raises(struct.error):

@@ -94,24 +94,14 @@ def test_the_adapter_is_closed_set_and_opened(adapters: Adapters, link: FrameLin
     assert adapters.heard[0][-1] == "C"
 
 
-def test_pythons_can_understands_what_we_send_and_we_what_it_sends(
-    adapters: Adapters, link: FrameLink
-) -> None:
-    witness = can.Bus(
-        interface="slcan",
-        channel=adapters.path(1),
-        bitrate=1_000_000,
-        sleep_after_open=0.0,
-        ignore_config=True,
-    )
+def test_pythons_can_understands_what_we_send_and_we_what_it_sends(adapters: Adapters, link: FrameLink) -> None:
+    witness = can.Bus(interface="slcan", channel=adapters.path(1), bitrate=1_000_000, sleep_after_open=0.0, ignore_config=True)
     adapters.carry(1, len(["C", "S8", "dbitrate", "O", "O"]))
     link.send(0x101, bytes.fromhex("0f2920d1ffff0000"))
     link.send(0x000, b"\x00")
     adapters.carry(0, OPENING + 2)
     messages = [message for _ in range(40) if (message := witness.recv(0.01)) is not None]
-    assert [(m.arbitration_id, bytes(m.data)) for m in messages] == [
-        (0x101, bytes.fromhex("0f2920d1ffff0000")), (0x000, b"\x00"),
-    ]  # fmt: skip
+    assert [(m.arbitration_id, bytes(m.data)) for m in messages] == [(0x101, bytes.fromhex("0f2920d1ffff0000")), (0x000, b"\x00")]
     witness.send(can.Message(arbitration_id=0x181, data=b"\x37\x29", is_extended_id=False))
     adapters.carry(1, 6)
     assert received(link, 1) == [(0x181, b"\x37\x29")]

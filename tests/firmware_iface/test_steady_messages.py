@@ -18,9 +18,7 @@ TURNS_S = 2.0
 SETTLES_S = 5.0
 
 
-def speeds_of(
-    sent_s: list[float], drained_s: list[float], dated: Callable[[float, float, float], float]
-) -> list[float]:
+def speeds_of(sent_s: list[float], drained_s: list[float], dated: Callable[[float, float, float], float]) -> list[float]:
     """Of a motion of 1/s, message by message as it is dated: the newest one of each drain."""
     speeds, last, waiting = [], None, list(sent_s)
     for before, now in pairwise(drained_s):
@@ -48,9 +46,7 @@ def tracked() -> Callable[[float, float, float], float]:
 
 @pytest.mark.parametrize("period_s", [0.0039, 0.004, 0.0041, 0.01])
 @pytest.mark.parametrize("late_s", [0.0, 0.0005])
-def test_a_speed_is_off_by_a_few_percent_at_most_where_arrival_would_double_it(
-    period_s: float, late_s: float
-) -> None:
+def test_a_speed_is_off_by_a_few_percent_at_most_where_arrival_would_double_it(period_s: float, late_s: float) -> None:
     rng = random.Random(7)
     sent_s = [k * period_s + 1e-4 for k in range(round(12.0 / period_s))]
     drained_s = [k * 0.00407 + rng.uniform(0.0, late_s) for k in range(2900)]

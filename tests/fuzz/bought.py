@@ -111,9 +111,7 @@ def moteus(content: bytes) -> None:
     line, clock = FrameLine(frames(content, MOTEUS_IDS, 64)), Time()
     bus = MoteusBus(line, clock)
     board = Moteus(bus, NODE, "x", 4096)
-    _converse((
-        lambda: board.identify(2), lambda: board.setting("motor.Kv"), board.reset_fault,
-    ))  # fmt: skip
+    _converse((lambda: board.identify(2), lambda: board.setting("motor.Kv"), board.reset_fault))
     _drain(line, bus.update, board)
 
 
@@ -135,9 +133,7 @@ def odrive(content: bytes) -> None:
     _drain(line, cycle, axis)
 
 
-VESC_IDS = (
-    *(packet << 8 | NODE for packet in Packet), *(packet << 8 | vesc_wire.HOST for packet in (*TO_HOST, *FILLS)), 0x1F01,
-)  # fmt: skip
+VESC_IDS = (*(packet << 8 | NODE for packet in Packet), *(packet << 8 | vesc_wire.HOST for packet in (*TO_HOST, *FILLS)), 0x1F01)
 
 
 def vesc(content: bytes) -> None:
@@ -157,10 +153,15 @@ def vesc(content: bytes) -> None:
 CANOPEN_IDS = tuple(
     base + NODE
     for base in (
-        canopen_wire.TPDO_1, canopen_wire.TPDO_2, canopen_wire.EMERGENCY, canopen_wire.SDO_ANSWER, canopen_wire.HEARTBEAT,
-        canopen_wire.RPDO_1, canopen_wire.SDO_ANSWER + 1,
+        canopen_wire.TPDO_1,
+        canopen_wire.TPDO_2,
+        canopen_wire.EMERGENCY,
+        canopen_wire.SDO_ANSWER,
+        canopen_wire.HEARTBEAT,
+        canopen_wire.RPDO_1,
+        canopen_wire.SDO_ANSWER + 1,
     )
-)  # fmt: skip
+)
 
 
 def cia402(content: bytes) -> None:
@@ -169,8 +170,11 @@ def cia402(content: bytes) -> None:
     bus = CanOpenBus(line, clock)
     drive = Cia402Drive(bus, NODE, "x")
     asked: tuple[Callable[[], object], ...] = (
-        drive.identify, lambda: drive.set_up(0.004, 0.2), drive.await_count, lambda: drive.acknowledge_fault(STEP_s),
-    )  # fmt: skip
+        drive.identify,
+        lambda: drive.set_up(0.004, 0.2),
+        drive.await_count,
+        lambda: drive.acknowledge_fault(STEP_s),
+    )
     _converse(asked)
 
     def cycle() -> None:
@@ -267,15 +271,27 @@ def roboclaw(content: bytes) -> None:
         line.attend()
         clock.wait_until_s(0.0)
 
-    _converse((
-        board.identify, lambda: board.require_quadrature(1), lambda: board.require_home_switch(1),
-        lambda: board.set_up(0.2, (8.0, 8.0)), board.read_counts, board.read_status, lambda: board.set_count(1, -1),
-    ))  # fmt: skip
+    _converse(
+        (
+            board.identify,
+            lambda: board.require_quadrature(1),
+            lambda: board.require_home_switch(1),
+            lambda: board.set_up(0.2, (8.0, 8.0)),
+            board.read_counts,
+            board.read_status,
+            lambda: board.set_count(1, -1),
+        )
+    )
     _ask_all(wire, cycle)
     assert all(abs(count) <= 1 << 31 for count in board.counts)
 
 
 BOUGHT: dict[str, Callable[[bytes], None]] = {
-    "cia402": cia402, "dynamixel": dynamixel, "feetech": feetech, "moteus": moteus, "odrive": odrive, "roboclaw": roboclaw,
+    "cia402": cia402,
+    "dynamixel": dynamixel,
+    "feetech": feetech,
+    "moteus": moteus,
+    "odrive": odrive,
+    "roboclaw": roboclaw,
     "vesc": vesc,
-}  # fmt: skip
+}

@@ -28,9 +28,24 @@ _WARNING = 0x80  # at a limit itself a rounding decides
 _WORDS = (0x06, 0x07, 0x0F, 0x0F, 0x0F, 0x00, 0x02, 0x80)
 # The highest value of each parameter that is worth writing.
 _HIGHEST = {
-    16: 20_000, 17: 500_000, 18: 50_000, 19: 3000, 20: 9000, 21: 24_000, 22: 5000, 23: 20_000, 32: 60, 33: 3, 34: 2, 35: 30,
-    36: 60, 48: 2, 49: 16, 50: 16, 51: 16,
-}  # fmt: skip
+    16: 20_000,
+    17: 500_000,
+    18: 50_000,
+    19: 3000,
+    20: 9000,
+    21: 24_000,
+    22: 5000,
+    23: 20_000,
+    32: 60,
+    33: 3,
+    34: 2,
+    35: 30,
+    36: 60,
+    48: 2,
+    49: 16,
+    50: 16,
+    51: 16,
+}
 _INDICES = (0, 1, 2, 3, 4, 5, 99, *_HIGHEST, *_HIGHEST)
 FASTEST = 4000  # counts in the shortest period: 2^24 a second, at which the firmware cuts speeds as the document lets it
 _PERIODS_US = (1000, 1000, 1000, 250, 1700, 10_000)  # the firmware cuts longer ones
@@ -74,9 +89,7 @@ class MotorTalk:
             said += self.board.tick(self.now_s, self.current_A, self.supply_V, self.is_limited)
         return said
 
-    def command(
-        self, word: int, mode: int, setpoint: int = 0, feedforward_mV: int = 0
-    ) -> list[tuple[int, bytes]]:
+    def command(self, word: int, mode: int, setpoint: int = 0, feedforward_mV: int = 0) -> list[tuple[int, bytes]]:
         """A COMMAND."""
         return self.send(0x100 + NODE, struct.pack("<BBih", word, mode | 5 << 3, setpoint, feedforward_mV))
 
@@ -118,14 +131,7 @@ class MotorTalk:
                 setattr(self, sensed, step.value)
         said = [(i, bytes((p[0] & ~_WARNING, *p[1:])) if i == 0x180 + NODE else p) for i, p in said]
         board = self.board
-        return (
-            said,
-            board.state,
-            board.faults,
-            board.position_count,
-            round(board.current_limit_A, 6),
-            board.pins.levels,
-        )
+        return (said, board.state, board.faults, board.position_count, round(board.current_limit_A, 6), board.pins.levels)
 
     def output(self) -> tuple[str, float]:
         """What the bridge does, and the voltage or current, which differ by a rounding."""
@@ -228,9 +234,7 @@ def _can_frame(chance: random.Random, kind: int) -> tuple[int, bytes]:
         setpoint, feedforward_mV = draw(-3000, 3001), draw(-3000, 3001)
         if not draw(10):
             setpoint, feedforward_mV = draw(-(2**31), 2**31), draw(-(2**15), 2**15)
-        sent = struct.pack(
-            "<BBih", word, chance.choice((0, 1, 2, 3, 3, 4, 4, 6)) | 5 << 3, setpoint, feedforward_mV
-        )
+        sent = struct.pack("<BBih", word, chance.choice((0, 1, 2, 3, 3, 4, 4, 6)) | 5 << 3, setpoint, feedforward_mV)
         can_id = 0x100 + NODE
     return can_id, sent if draw(10) else mutated(sent, chance)[:8]
 
@@ -262,7 +266,7 @@ def _serial_frame(chance: random.Random) -> bytes:
         2: chance.choice((0, 249, 250, 1000, 2000, 999_999, 1_000_000, 1_000_001)).to_bytes(4, "little"),
         3: bytes((draw(4),)) + chance.randbytes(4),
         4: bytes((draw(4), draw(4))),
-    }.get(kind, b"")  # fmt: skip
+    }.get(kind, b"")
     body += chance.randbytes(draw(60 - len(body))) if not draw(10) else b""
     coded = frame(bytes((kind, draw(1, 4))) + body)
     return coded if draw(8) else mutated(coded, chance)

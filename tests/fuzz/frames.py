@@ -52,9 +52,7 @@ def wrong_accepts(count: int, seed: int = 1) -> Found:
     random_accepted = sum(len(decoder.feed(_random_block(chance))) for _ in range(count))
     mutants_accepted = 0
     for k in range(count):
-        report = wire.Report(
-            k & 0xFF, chance.getrandbits(32), (0, 4, 8), tuple(chance.getrandbits(24) for _ in range(3))
-        )
+        report = wire.Report(k & 0xFF, chance.getrandbits(32), (0, 4, 8), tuple(chance.getrandbits(24) for _ in range(3)))
         block = mutated(wire.encode(report)[:-1], chance)
         mutants_accepted += sum(frame != report for frame in decoder.feed(block + b"\0"))
     return Found(count, random_accepted, mutants_accepted)

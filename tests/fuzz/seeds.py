@@ -56,40 +56,43 @@ CONTACTS = (
     "contact,1,1,0.1,-0.5,0.4,0.2,-0.5,0.4,0.05,\ncontact,2,1,0.1,-0.5,0.4,0.2,-0.5,0.4,,clamp\n"
 )
 CAMERA = {
-    "format": "camera/1", "width_px": 640, "height_px": 480, "readout_s": 0.0, "noise_px": 0.1,
-    "lens": dict.fromkeys(NAMES, 1.0), "covariance": [[float(j == k) for j in NAMES] for k in NAMES],
-}  # fmt: skip
+    "format": "camera/1",
+    "width_px": 640,
+    "height_px": 480,
+    "readout_s": 0.0,
+    "noise_px": 0.1,
+    "lens": dict.fromkeys(NAMES, 1.0),
+    "covariance": [[float(j == k) for j in NAMES] for k in NAMES],
+}
 BOARD = {"origin_m": [0.5, 0.0, 0.1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
 CORNERS_m = [[0.4, 0.0, 0.1], [0.5, 0.0, 0.1], [0.5, 0.1, 0.1], [0.4, 0.1, 0.1]]
 HISTORY = {
-    "format": "history/1", "measured": "2026-11-23T09:00:00Z", "by": "calibrate", "arm": "right", "program_version": "0.1",
+    "format": "history/1",
+    "measured": "2026-11-23T09:00:00Z",
+    "by": "calibrate",
+    "arm": "right",
+    "program_version": "0.1",
     "geometry": {"names": ["a", "b"], "values": [0.1, 0.2], "scales": [1.0, 1.0], "information": [[1.0, 0.0], [0.0, 1.0]]},
     "quantities": {"gear": {"value": 0.1, "sd": 0.01}},
-}  # fmt: skip
+}
 LENGTHS = (
     "setup,point,repeat,q1_rad,q2_rad,q3_rad,x_m,y_m,z_m,distance_of,distance_m,distance_sd_m\n"
     "wire,1,1,0.1,-0.5,0.4,,,,wire:a,0.512,0.0001\nwire,2,1,0.2,-0.5,0.4,,,,between:b,0.1,\n"
     "wire,3,1,0.3,-0.5,0.4,,,,between:b,0.1,\n"
 )
 RUN_FORMS = ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V", "counted{}_s")
-RUN = ",".join(
-    ["t_s", *(form.format(j) for form in RUN_FORMS for j in (1, 2, 3)), "x_m,y_m,z_m,payload_kg\n"]
-)
+RUN = ",".join(["t_s", *(form.format(j) for form in RUN_FORMS for j in (1, 2, 3)), "x_m,y_m,z_m,payload_kg\n"])
 TIP = ",".join(map(str, ForwardKinematics(load_arm("right")).tip(0.1, 0.1, 0.1)))
 SCENARIO = 'name = "x"\nseed = 3\n[start]\nhomed = true\n'
 
 
-RECORD = Record(
-    "normal", "1", 1, (0.1, -0.5, 0.4), (1e-5,) * 3, (1, -1, 1), (0.5,) * 3, 2.0, 0.0, (0.5, 0.0, 0.1)
-)  # fmt: skip
+RECORD = Record("normal", "1", 1, (0.1, -0.5, 0.4), (1e-5,) * 3, (1, -1, 1), (0.5,) * 3, 2.0, 0.0, (0.5, 0.0, 0.1))
 
 
 def recording() -> bytes:
     """A small recording in frames."""
     layout = Layout.of(1)
-    rows = b"".join(
-        layout.packing.pack(*(row_of(k, 1).get(name, 0) for name in layout.names)) for k in range(12)
-    )
+    rows = b"".join(layout.packing.pack(*(row_of(k, 1).get(name, 0) for name in layout.names)) for k in range(12))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.armlog"
         begin(path, layout.about(arm="x", period_s=0.002, **layout.framed((1e-4,))))
@@ -113,11 +116,7 @@ def _session_files() -> dict[str, list[bytes]]:
     with tempfile.TemporaryDirectory() as name:
         with SessionFolder(Path(name), PLAN) as folder:
             folder.record(RECORD)
-        files = (
-            ("session.json", "session.json"),
-            ("journal.jsonl", "journal.jsonl"),
-            ("recorded.csv", "points.csv"),
-        )
+        files = (("session.json", "session.json"), ("journal.jsonl", "journal.jsonl"), ("recorded.csv", "points.csv"))
         return {target: [(Path(name) / file).read_bytes()] for target, file in files}
 
 
@@ -157,11 +156,7 @@ def _seeds() -> dict[str, list[bytes]]:
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
         "vicon": [VICON, VICON.ljust(256, b"\0")],
         "natnet": [NATNET_3, NATNET_41, *NatNetMock(SETUP, SCENE).answer(bytes((4, 0, 0, 0)))],
-        "qtm": [
-            QTM,
-            *QtmMock(SETUP, SCENE).answer(bytes(8) + b"getparameters 6d"),
-            qtm.command("Version 1.19"),
-        ],
+        "qtm": [QTM, *QtmMock(SETUP, SCENE).answer(bytes(8) + b"getparameters 6d"), qtm.command("Version 1.19")],
         "socket": [json.dumps(request).encode() for request in REQUESTS],
         "recording frames": [recorded[recorded.index(b"}") + 1 :]],
         "run.armlog": [recorded],
@@ -175,10 +170,7 @@ def _seeds() -> dict[str, list[bytes]]:
         "programme.json": [json.dumps({"format": "iso9283-programme/1", "rectangle_m": CORNERS_m}).encode()],
         "tolerances.toml": [(ROOT / "calib/tolerances/right.toml").read_bytes()],
         "capture.csv": [vicon_csv(short).encode()],
-        "capture.c3d": [
-            c3d_bytes(short.markers_m, kind, is_float)
-            for kind, is_float in ((84, True), (85, True), (86, False))
-        ],
+        "capture.c3d": [c3d_bytes(short.markers_m, kind, is_float) for kind, is_float in ((84, True), (85, True), (86, False))],
         "cell.toml": [(ROOT / "control/cells/pair.toml").read_bytes()],
         "contacts.csv": [CONTACTS.encode()],
         "camera.json": [json.dumps(CAMERA).encode()],
@@ -189,11 +181,7 @@ def _seeds() -> dict[str, list[bytes]]:
         "history.jsonl": [json.dumps(HISTORY).encode() + b"\n"],
         "poses.csv": [b"point,q1_rad,q2_rad,q3_rad\na,0.1,-0.5,0.4\n,0.2,-0.5,0.4\n"],
         "lengths.csv": [LENGTHS.encode()],
-        "runs.csv": [
-            ("run," + run.replace("\n", "\n1,").removesuffix("1,"))
-            .replace("0.1,0.1,0.1,0.1\n", f"{TIP},0\n")
-            .encode()
-        ],
+        "runs.csv": [("run," + run.replace("\n", "\n1,").removesuffix("1,")).replace("0.1,0.1,0.1,0.1\n", f"{TIP},0\n").encode()],
         "run.csv": [run.encode()],
         "series": [recorded, LOG.encode()],
         "run.mcap": [_mcap(recorded)],

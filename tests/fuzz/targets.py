@@ -176,10 +176,19 @@ def _of_file(name: str) -> Target:
 
 
 DECODERS: dict[str, Target] = {
-    "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "slcan": slcan_line, "camera": camera_datagram,
-    "vicon": vicon_datagram, "natnet": natnet_packet, "qtm": qtm_stream,
-    "socket": socket_line, "recording frames": recording_frames, **BOUGHT, **LINES,
-}  # fmt: skip
+    "encoder": encoder_stream,
+    "cobs": cobs_block,
+    "motor": motor_frames,
+    "slcan": slcan_line,
+    "camera": camera_datagram,
+    "vicon": vicon_datagram,
+    "natnet": natnet_packet,
+    "qtm": qtm_stream,
+    "socket": socket_line,
+    "recording frames": recording_frames,
+    **BOUGHT,
+    **LINES,
+}
 TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in FILES}}
 
 

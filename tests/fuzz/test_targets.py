@@ -31,23 +31,28 @@ def test_mutants_of_good_input_are_taken_or_refused_in_a_sentence(name: str) -> 
 
 
 def odrive_frames(turns: float) -> bytes:
-    return packed(
-        ODRIVE_IDS,
-        [(ODRIVE_IDS[list(OdriveCommand).index(OdriveCommand.ENCODER)], struct.pack("<ff", turns, 0.0))],
-    )
+    return packed(ODRIVE_IDS, [(ODRIVE_IDS[list(OdriveCommand).index(OdriveCommand.ENCODER)], struct.pack("<ff", turns, 0.0))])
 
 
 # What fuzzing has found: a count or a float that no recording holds, half an identity, damaged files, endless lists of errors.
 FOUND: tuple[tuple[str, bytes], ...] = (
-    ("odrive", odrive_frames(3e38)), ("odrive", odrive_frames(-1e6)),
+    ("odrive", odrive_frames(3e38)),
+    ("odrive", odrive_frames(-1e6)),
     ("cia402", packed(CANOPEN_IDS, [(CANOPEN_IDS[0], struct.pack("<Hih", 0x27, 2**31 - 1, 0))])),
     ("dynamixel", answers(*[b"\0" + bytes(6) + b"\xff\xff\xff\x7f" + bytes(11)] * 60)),
     ("moteus", packed(MOTEUS_IDS, [(MOTEUS_IDS[0], b"\x2b\xa0\x02" + bytes(12))])),
-    *(("moteus", packed(MOTEUS_IDS, [(MOTEUS_IDS[0], MOTEUS_VALUES.replace(struct.pack("<f", 1.5), other))]))
-      for other in (struct.pack("<f", math.inf), struct.pack("<f", 3e38))),
-    ("recorded.csv", seeds_of("recorded.csv")[0] + b"\xf5,1\n"), ("script", b"wrong\n" * 90),
-    ("chunk.npz", b"PK"), ("chunk.npz", b""), ("run.csv", b""), ("run.csv", b"t_s\nx\n"), ("run.csv", b"t_s\n1\n"),
-)  # fmt: skip
+    *(
+        ("moteus", packed(MOTEUS_IDS, [(MOTEUS_IDS[0], MOTEUS_VALUES.replace(struct.pack("<f", 1.5), other))]))
+        for other in (struct.pack("<f", math.inf), struct.pack("<f", 3e38))
+    ),
+    ("recorded.csv", seeds_of("recorded.csv")[0] + b"\xf5,1\n"),
+    ("script", b"wrong\n" * 90),
+    ("chunk.npz", b"PK"),
+    ("chunk.npz", b""),
+    ("run.csv", b""),
+    ("run.csv", b"t_s\nx\n"),
+    ("run.csv", b"t_s\n1\n"),
+)
 
 
 @pytest.mark.parametrize(("name", "content"), FOUND, ids=[name for name, _ in FOUND])

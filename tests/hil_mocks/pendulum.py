@@ -37,16 +37,9 @@ def drive(rotor_inertia_kg_m2: float = ROTOR_kg_m2) -> DriveParts:
 
 def arm(joints: int = 1, gravity_m_s2: Vector = (0.0, -G_m_s2, 0.0), **of_drive: float) -> ArmParts:
     """Links in the vertical plane, hinges horizontal; at q = 0 they lie level along x."""
-    link = LinkParts(
-        0.0, 0.0, LENGTH_M, 0.0, True, MASS_KG, (COM_M - LENGTH_M, 0.0, 0.0), (INERTIA_kg_m2,) * 3
-    )
+    link = LinkParts(0.0, 0.0, LENGTH_M, 0.0, True, MASS_KG, (COM_M - LENGTH_M, 0.0, 0.0), (INERTIA_kg_m2,) * 3)
     return ArmParts(
-        "pendulum",
-        gravity_m_s2,
-        "standard",
-        (link,) * joints,
-        (drive(**of_drive),) * joints,
-        PlantTool((0.0, 0.0, 0.0)),
+        "pendulum", gravity_m_s2, "standard", (link,) * joints, (drive(**of_drive),) * joints, PlantTool((0.0, 0.0, 0.0))
     )
 
 

@@ -26,9 +26,7 @@ SETUP = EncoderBoardSetup(serial_number=0xA1B2C3, counts_per_turn=(2048, 2048, 2
 NOT_HOME = [False] * 3
 
 
-@pytest.fixture(
-    autouse=True, params=[EncoderBoardMock, pytest.param(EncoderBoardFirmware, marks=needs_compiler)]
-)
+@pytest.fixture(autouse=True, params=[EncoderBoardMock, pytest.param(EncoderBoardFirmware, marks=needs_compiler)])
 def firmware(request: pytest.FixtureRequest) -> None:
     Bench.kind = request.param
 
@@ -38,9 +36,7 @@ class Bench:
 
     kind: type[EncoderBoardMock | EncoderBoardFirmware] = EncoderBoardMock
 
-    def __init__(
-        self, setup: EncoderBoardSetup = SETUP, index_raw: tuple[int, ...] = (100, 100, 100)
-    ) -> None:
+    def __init__(self, setup: EncoderBoardSetup = SETUP, index_raw: tuple[int, ...] = (100, 100, 100)) -> None:
         self.board = self.kind(setup, index_raw)
         self.now_s = 0.0
         self.raw = [0, 0, 0]

@@ -54,9 +54,7 @@ def life_of(through_kernel: bool) -> Heard:
     scenario = msgspec.structs.replace(load_scenario("demo"), start=Start(homed=True))
     with SteppedRig(arm, scenario, through_kernel) as rig:
         heard = tapped(rig)
-        boards = tuple(
-            replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
-        )
+        boards = tuple(replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True))
         bus = CanBus(rig.can_interface, rig.can_channel, options=rig.can_options)
         wired = replace(arm, encoder_boards=boards, can=bus)
         connection = connect(wired, rig.clock, PERIOD_s, None)

@@ -8,16 +8,7 @@ import pytest
 
 from hil_mocks.devices import motor_board as parameter
 from hil_mocks.devices.motor_board import MotorBoardMock
-from hil_mocks.devices.motor_inputs import (
-    BRAKE,
-    NEXT,
-    OPEN,
-    MotorBoardSetup,
-    MotorState,
-    Output,
-    Word,
-    word_of,
-)
+from hil_mocks.devices.motor_inputs import BRAKE, NEXT, OPEN, MotorBoardSetup, MotorState, Output, Word, word_of
 from hil_mocks.firmware.boards import MotorBoardFirmware
 from tests.firmware import needs_compiler
 
@@ -57,18 +48,14 @@ class Bench:
             sent += self.board.tick(self.now_s, self.current_A, self.supply_V, False)
         return sent
 
-    def command(
-        self, word: int, mode: int = 0, setpoint: int = 0, feedforward_mV: int = 0
-    ) -> tuple[int, ...]:
+    def command(self, word: int, mode: int = 0, setpoint: int = 0, feedforward_mV: int = 0) -> tuple[int, ...]:
         payload = struct.pack("<BBih", word, mode | 5 << 3, setpoint, feedforward_mV)
         ((can_id, reply),) = self.board.receive(0x102, payload, self.now_s)
         assert can_id == 0x182
         return struct.unpack("<BBhHbB", reply)
 
     def ask(self, operation: int, index: int, value: int = 0) -> tuple[int, int]:
-        ((_, answer),) = self.board.receive(
-            0x202, struct.pack("<BBBBi", operation, index, 9, 0, value), self.now_s
-        )
+        ((_, answer),) = self.board.receive(0x202, struct.pack("<BBBBi", operation, index, 9, 0, value), self.now_s)
         result, echoed, sequence, _, value = struct.unpack("<BBBBi", answer)
         assert (echoed, sequence) == (index, 9)
         return result, value
@@ -83,9 +70,7 @@ def test_power_up_is_announced_by_the_frame_of_the_document() -> None:
 
 def test_a_reply_is_the_golden_frame_of_the_document() -> None:
     bench = Bench(MotorState.ENABLED)
-    bench.board = bench.kind(
-        MotorBoardSetup(node=1, serial_number=1, counts_per_turn=8, ambient_degC=41.0), lambda: 0
-    )
+    bench.board = bench.kind(MotorBoardSetup(node=1, serial_number=1, counts_per_turn=8, ambient_degC=41.0), lambda: 0)
     bench.tick()
     for word in WAY_IN[MotorState.ENABLED]:
         bench.board.receive(0x101, struct.pack("<BBih", word, 0, 0, 0), bench.now_s)
@@ -161,9 +146,7 @@ def test_the_integral_stops_at_its_limit_and_while_the_output_is_clamped() -> No
     bench.command(ENABLE, 3, 1000)
     bench.tick(300)
     assert bench.board.output.value == pytest.approx(0.5)
-    clamped = positioning(
-        KI=1_000_000, KP=50_000, INTEGRAL_LIMIT_MV=60_000, VOLTAGE_LIMIT_MV=10_000, WATCHDOG_MS=10_000
-    )
+    clamped = positioning(KI=1_000_000, KP=50_000, INTEGRAL_LIMIT_MV=60_000, VOLTAGE_LIMIT_MV=10_000, WATCHDOG_MS=10_000)
     clamped.command(ENABLE, 3, 1000)
     clamped.tick(2000)
     clamped.shaft = 999
@@ -179,9 +162,7 @@ def test_a_wrap_of_the_count_inside_the_travel_is_harmless() -> None:
 
 
 @pytest.mark.parametrize(("action", "output"), [(0, OPEN), (1, BRAKE)])
-def test_the_watchdog_acts_in_time_and_keeps_its_output_until_acknowledged(
-    action: int, output: Output
-) -> None:
+def test_the_watchdog_acts_in_time_and_keeps_its_output_until_acknowledged(action: int, output: Output) -> None:
     bench = positioning(WATCHDOG_MS=20, WATCHDOG_ACTION=action)
     bench.command(ENABLE, 1, 3000)
     bench.tick(19)
@@ -191,11 +172,7 @@ def test_the_watchdog_acts_in_time_and_keeps_its_output_until_acknowledged(
     bench.command(ENABLE, 1, 3000)
     assert bench.board.output == output
     bench.command(RESET)
-    assert (bench.board.state, bench.board.faults, bench.board.output) == (
-        MotorState.SWITCH_ON_DISABLED,
-        0,
-        BRAKE,
-    )
+    assert (bench.board.state, bench.board.faults, bench.board.output) == (MotorState.SWITCH_ON_DISABLED, 0, BRAKE)
 
 
 def test_a_watchdog_that_holds_runs_the_pid_at_the_count_of_that_moment() -> None:
@@ -301,13 +278,7 @@ def test_the_power_stage_warms_up_by_its_first_order_path() -> None:
     assert reply[4] == round(25.0 + 4.0 * 0.632)
 
 
-STOPPING = {
-    "KP": 1000,
-    "DERIVATIVE_FILTER_US": 0,
-    "STOP_AFTER_MS": 20,
-    "STOP_TIME_MS": 100,
-    "INTEGRAL_LIMIT_MV": 9000,
-}
+STOPPING = {"KP": 1000, "DERIVATIVE_FILTER_US": 0, "STOP_AFTER_MS": 20, "STOP_TIME_MS": 100, "INTEGRAL_LIMIT_MV": 9000}
 
 
 def turning(bench: Bench, counts_per_ms: int, ticks: int) -> None:
@@ -330,9 +301,7 @@ def test_without_the_host_the_board_brings_its_motor_to_rest_and_the_next_comman
         bench.tick()
     assert bench.shaft == begun + 500
     assert bench.board.state is MotorState.ENABLED
-    assert bench.board.output.value == pytest.approx(
-        3.0 - 0.1, abs=0.05
-    )  # what the speed took is not needed any more
+    assert bench.board.output.value == pytest.approx(3.0 - 0.1, abs=0.05)  # what the speed took is not needed any more
     bench.shaft -= 7
     bench.tick()
     assert bench.board.output.value == pytest.approx(2.9 + 0.007, abs=0.05)

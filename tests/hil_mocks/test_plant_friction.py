@@ -25,9 +25,7 @@ def terminal_speed(*entries: Entry, torque_Nm: float) -> float:
 
 @pytest.mark.parametrize("gear", [(), (PLAY,)], ids=["rigid", "two masses"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_coulomb_friction_sticks_below_its_torque_and_slips_above(
-    gear: tuple[Entry, ...], sign: float
-) -> None:
+def test_coulomb_friction_sticks_below_its_torque_and_slips_above(gear: tuple[Entry, ...], sign: float) -> None:
     for torque_Nm, moves in ((1.9, False), (2.1, True)):
         subject = plant(coulomb(2.0), *gear, gravity_m_s2=WEIGHTLESS)
         subject.drive_current(0, sign * torque_Nm / K_Nm_A)

@@ -159,9 +159,7 @@ def test_a_drifting_joint_moves_away_from_its_encoder_with_its_time_constant() -
 
 
 @pytest.mark.parametrize("share", [(), (("backlash", 1, {"width_rad": 0.002}),)])
-def test_the_hand_drags_smoothly_holds_within_microns_and_lets_go(
-    share: tuple[tuple[str, int, dict[str, float]], ...],
-) -> None:
+def test_the_hand_drags_smoothly_holds_within_microns_and_lets_go(share: tuple[tuple[str, int, dict[str, float]], ...]) -> None:
     subject = plant(*share, ("coulomb_friction", 1, {"torque_Nm": 1.5}), timestep_s=5e-4)
     subject.drive_voltage(0, 0.0)
     goal: Point = (LENGTH_M * math.cos(0.4), LENGTH_M * math.sin(0.4), 0.0)

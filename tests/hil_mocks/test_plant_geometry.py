@@ -44,18 +44,10 @@ def random_arm(seed: int, convention: Convention) -> ArmParts:
     source = random.Random(seed)
     nominal = parts_of(load_arm("right"))
     links = tuple(
-        LinkParts(
-            *(source.uniform(-0.4, 0.4) for _ in range(4)),
-            link.is_revolute,
-            1.0,
-            (0.0, 0.0, 0.1),
-            (0.01, 0.01, 0.01),
-        )
+        LinkParts(*(source.uniform(-0.4, 0.4) for _ in range(4)), link.is_revolute, 1.0, (0.0, 0.0, 0.1), (0.01, 0.01, 0.01))
         for link in nominal.links
     )
-    return dataclasses.replace(
-        nominal, links=links, convention=convention, tool=PlantTool((0.02, -0.03, 0.05))
-    )
+    return dataclasses.replace(nominal, links=links, convention=convention, tool=PlantTool((0.02, -0.03, 0.05)))
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
@@ -71,22 +63,14 @@ def test_deviations_move_the_tip_as_changed_dh_parameters_do() -> None:
     from hil_mocks.plant.effects import EffectEntry
 
     arm = parts_of(load_arm("right"))
-    off = {
-        "link1_d_m": 0.003,
-        "link2_theta_rad": -0.02,
-        "link2_L_m": 0.002,
-        "link3_alpha_rad": 0.015,
-        "link4_d_m": -0.004,
-    }
+    off = {"link1_d_m": 0.003, "link2_theta_rad": -0.02, "link2_L_m": 0.002, "link3_alpha_rad": 0.015, "link4_d_m": -0.004}
     links = list(arm.links)
     for name, value in off.items():
         i, key = int(name[4]) - 1, name[6:]
         links[i] = dataclasses.replace(links[i], **{key: getattr(links[i], key) + value})
     q = [0.4, -0.6, 0.5]
     subject = Plant(arm, gather([EffectEntry("link_geometry", 0, off)], 3, 4, "test"), q)
-    assert subject.tip_m() == pytest.approx(
-        chain_tip(dataclasses.replace(arm, links=tuple(links)), q), abs=1e-12
-    )
+    assert subject.tip_m() == pytest.approx(chain_tip(dataclasses.replace(arm, links=tuple(links)), q), abs=1e-12)
 
 
 @pytest.mark.parametrize("q", [(0.0, -0.9, 0.0), (0.3, -0.2, 0.6), (-1.0, -1.5, -0.7)])

@@ -48,9 +48,7 @@ def test_angle_and_current_after_a_voltage_step_are_those_of_one_moment(timestep
     subject.drive_voltage(0, 6.0)
     subject.step(round(0.008 / timestep_s))
     rates = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, K_Nm_A / TOTAL_kg_m2], [0.0, -K_Nm_A / L_H, -R_OHM / L_H]])
-    state = np.array(
-        expm(np.block([[rates, np.array([[0.0], [0.0], [6.0 / L_H]])], [np.zeros((1, 4))]]) * 0.008)
-    )
+    state = np.array(expm(np.block([[rates, np.array([[0.0], [0.0], [6.0 / L_H]])], [np.zeros((1, 4))]]) * 0.008))
     angle_rad, speed_rad_s, current_A = state[:3, 3]
     # Nearly second order: 0.17 of a step of 1 ms, 0.05 of one of 0.25 ms.
     order = (timestep_s / 1e-3) ** 2

@@ -45,9 +45,7 @@ FLEX = EffectEntry("link_flexure", 1, {"EI_Nm2": EI})
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
-def test_a_payload_and_its_own_weight_bend_a_bar_as_a_cantilever(
-    convention: Literal["standard", "modified"],
-) -> None:
+def test_a_payload_and_its_own_weight_bend_a_bar_as_a_cantilever(convention: Literal["standard", "modified"]) -> None:
     own = KG * G * COM**2 * (3.0 * L - COM) / (6.0 * EI)
     load = 1.5 * G * L**3 / (3.0 * EI)
     # 2e-3: second order in a slope of 0.02 rad, and the vibration that is left after a second.
@@ -62,9 +60,7 @@ def test_a_load_on_an_arm_beyond_the_bar_bends_it_by_its_moment_too() -> None:
     first = bar(mass_kg=1e-9).links[0]
     hinged = LinkParts(0.0, 0.0, 0.3, 0.0, True, 1e-6, (-0.3, 0.0, 0.0), (1e-6, 1e-6, 1e-6))
     for links, joints in (((first, second), 1), ((first, hinged), 2)):
-        arm = ArmParts(
-            "bars", (0.0, 0.0, -G), "standard", links, (drive(),) * joints, PlantTool((0.0, 0.0, 0.0))
-        )
+        arm = ArmParts("bars", (0.0, 0.0, -G), "standard", links, (drive(),) * joints, PlantTool((0.0, 0.0, 0.0)))
         found = gather([FLEX, EffectEntry("payload", 0, {"mass_kg": 1.0})], joints, 2, "test")
         subject = Plant(arm, found, (0.0,) * joints)
         subject.step(2000)
@@ -113,8 +109,14 @@ def test_a_bending_links_mass_and_inertia_are_those_of_the_rigid_one() -> None:
 
 def test_a_link_of_no_length_cannot_bend() -> None:
     arm = bar()
-    short = ArmParts("short", arm.gravity_m_s2, "standard", (LinkParts(0, 0, 0, 0, True, 1, (0, 0, 0), INERTIA),),
-                     arm.drives, PlantTool((0.0, 0.0, 0.0)))  # fmt: skip
+    short = ArmParts(
+        "short",
+        arm.gravity_m_s2,
+        "standard",
+        (LinkParts(0, 0, 0, 0, True, 1, (0, 0, 0), INERTIA),),
+        arm.drives,
+        PlantTool((0.0, 0.0, 0.0)),
+    )
     with pytest.raises(MockError, match=r"bends 0\.0000 m of link"):
         Plant(short, gather([FLEX], 1, 1, "test"), (0.0,))
 
@@ -147,12 +149,8 @@ def test_a_turned_world_and_back_is_the_same_point() -> None:
 
 def test_a_hand_at_the_tip_steadies_the_links_that_its_grip_leaves_free() -> None:
     link = LinkParts(0.0, 0.0, 0.3, 0.0, True, 0.5, (-0.15, 0.0, 0.0), (0.0005, 0.004, 0.004))
-    chain = ArmParts(
-        "chain", (0.0, -G, 0.0), "standard", (link,) * 3, (drive(),) * 3, PlantTool((0.0, 0.0, 0.0))
-    )
-    subject = Plant(
-        chain, gather([], 3, 3, "test"), (0.3, 0.9, -0.7)
-    )  # no friction, and one motion more than the grip takes
+    chain = ArmParts("chain", (0.0, -G, 0.0), "standard", (link,) * 3, (drive(),) * 3, PlantTool((0.0, 0.0, 0.0)))
+    subject = Plant(chain, gather([], 3, 3, "test"), (0.3, 0.9, -0.7))  # no friction, and one motion more than the grip takes
     for joint in range(3):
         subject.drive_open(joint)
 

@@ -283,10 +283,7 @@ def test_every_kind_of_fault_can_be_switched_on_and_off(kind: str) -> None:
     ("fault", "message"),
     [
         (FaultTable("silnt", "encoder"), 'fault "silnt": expected one of backwards_encoder'),
-        (
-            FaultTable("silent", "motor7"),
-            'no board "motor7"; there are encoder, motor1, motor2, motor3, camera',
-        ),
+        (FaultTable("silent", "motor7"), 'no board "motor7"; there are encoder, motor1, motor2, motor3, camera'),
         (FaultTable("delay_frames", "motor1"), 'needs "value"'),
         (FaultTable("silent", "motor1", at_s=2.0, until_s=1.0), "until_s = 1 is not after at_s = 2"),
         (FaultTable("wrong_counts", "encoder", at_s=1.0, value=1.0), "at_s must be 0, got 1"),

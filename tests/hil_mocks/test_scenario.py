@@ -47,9 +47,7 @@ def test_what_cannot_be_understood_names_file_and_key(text: str, message: str) -
 
 
 def test_a_missing_file_names_what_there_is(tmp_path: Path) -> None:
-    with pytest.raises(
-        ScenarioError, match="there is no such file; expected a file or one of demo, ideal, paper"
-    ):
+    with pytest.raises(ScenarioError, match="there is no such file; expected a file or one of demo, ideal, paper"):
         load_scenario(tmp_path / "none.toml")
 
 
@@ -58,10 +56,7 @@ def test_a_missing_file_names_what_there_is(tmp_path: Path) -> None:
     [
         ('effect = "bakclash"\njoint = 1', 'effect "bakclash" is unknown; known are asymmetric_friction'),
         ('effect = "backlash"\njoint = 4\nparameters = {width_rad = 0.1}', "joint number 1 to 3, got 4"),
-        (
-            'effect = "backlash"\njoint = 1\nparameters = {width = 0.1}',
-            'unknown parameter "width"; expected width_rad',
-        ),
+        ('effect = "backlash"\njoint = 1\nparameters = {width = 0.1}', 'unknown parameter "width"; expected width_rad'),
         ('effect = "backlash"\njoint = 1', 'parameter "width_rad" is missing'),
         ('effect = "backlash"\njoint = 1\nparameters = {width_rad = -0.1}', "must be positive, or 0"),
     ],
@@ -80,9 +75,7 @@ def test_drawn_deviations_follow_the_seed_and_stay_within_their_sizes() -> None:
     first, again, other = (parse_scenario(text.format(seed), "s").drawn_deviations(4) for seed in (1, 1, 2))
     assert first == again
     assert first != other
-    assert set(first) == {f"link{i}_{key}" for i in range(1, 5) for key in ("d_m", "theta_rad")} | {
-        "link2_L_m"
-    }
+    assert set(first) == {f"link{i}_{key}" for i in range(1, 5) for key in ("d_m", "theta_rad")} | {"link2_L_m"}
     assert all(abs(value) <= (0.004 if name.endswith("_m") else 0.02) for name, value in first.items())
 
 

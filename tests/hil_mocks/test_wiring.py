@@ -14,9 +14,7 @@ from hil_mocks.wiring import wiring_of
 
 
 @pytest.mark.parametrize(("index_rad", "is_above"), [(-0.1, True), (-0.05, True), (-0.15, False)])
-def test_a_home_switch_is_active_on_the_side_that_the_file_says_whatever_is_drawn(
-    index_rad: float, is_above: bool
-) -> None:
+def test_a_home_switch_is_active_on_the_side_that_the_file_says_whatever_is_drawn(index_rad: float, is_above: bool) -> None:
     right = load_arm("right")
     home = Home(switch_rad=-0.1, index_rad=index_rad)
     arm = replace(right, drives=tuple(replace(drive, home=home) for drive in right.drives))

@@ -15,9 +15,7 @@ from tests.journeys.runner import ARMS, JOURNEYS, Stumble, walk
 def main() -> int:
     """Exit status 1 if one stumbled."""
     parser = argparse.ArgumentParser(prog="python -m tests.journeys", description=__doc__)
-    parser.add_argument(
-        "journeys", nargs="*", metavar="JOURNEY", help=f"of {', '.join(JOURNEYS)} (default: all)"
-    )
+    parser.add_argument("journeys", nargs="*", metavar="JOURNEY", help=f"of {', '.join(JOURNEYS)} (default: all)")
     parser.add_argument("--arms", nargs="*", choices=[*ARMS], default=[*ARMS], metavar="ARM")
     given = parser.parse_args()
     stumbled = 0
@@ -33,12 +31,9 @@ def main() -> int:
                     stumbled += 1
                     print(f"{name:24}{arm:8}stumbled\n{stumble}", flush=True)
                     continue
-                decided = ", ".join(
-                    f"{option} x{n}" if n > 1 else option for option, n in Counter(done.options).items()
-                )
+                decided = ", ".join(f"{option} x{n}" if n > 1 else option for option, n in Counter(done.options).items())
                 print(
-                    f"{name:24}{arm:8}{done.minutes:6.1f} min   {len(done.options) + done.answers} decided: {decided}",
-                    flush=True,
+                    f"{name:24}{arm:8}{done.minutes:6.1f} min   {len(done.options) + done.answers} decided: {decided}", flush=True
                 )
     return 1 if stumbled else 0
 

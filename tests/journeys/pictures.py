@@ -21,10 +21,7 @@ DOTS_A_METRE, MARGIN_m = 6000.0, 0.01
 LENS, POSES, OTHERS = 16, 40, 12  # the last to verify at
 NEAREST_m, FARTHEST_m = 0.35, 1.3
 FACING = 0.6  # cosine between the line of sight and the board's normal
-ACROSS, UPWARD = (
-    0.45,
-    0.3,
-)  # of the distance: how far from the middle of the picture the whole board is still in it
+ACROSS, UPWARD = (0.45, 0.3)  # of the distance: how far from the middle of the picture the whole board is still in it
 
 
 def main(built: str, pictures: str, scenario: str) -> None:
@@ -47,14 +44,11 @@ def main(built: str, pictures: str, scenario: str) -> None:
     rest = np.array(arm.rest.q_rad if arm.rest else np.zeros(arm.joint_count))
     deviations = load_scenario(scenario).drawn_deviations(len(arm.links))
     unseen = FramePose(np.eye(3), np.zeros(3))
-    bare = PicturedArm(
-        arm.links, arm.dh_convention, grey, width_m, unseen, unseen, webcam, deviations
-    ).last_link(rest.tolist())
+    bare = PicturedArm(arm.links, arm.dh_convention, grey, width_m, unseen, unseen, webcam, deviations).last_link(rest.tolist())
     camera = looking_at(bare.position_m + np.array([0.75, 0.2, 0.1]), bare.position_m)
     # At rest the board looks at the camera, a little askew.
     mount = FramePose(
-        bare.rotation.T @ camera.rotation @ rotation_of(np.array([0.25, -0.2, 0.1])),
-        np.array([0.012, -0.009, 0.02]),
+        bare.rotation.T @ camera.rotation @ rotation_of(np.array([0.25, -0.2, 0.1])), np.array([0.012, -0.009, 0.02])
     )
     pictured = PicturedArm(arm.links, arm.dh_convention, grey, width_m, mount, camera, webcam, deviations)
     poses: list[list[float]] = []
@@ -66,10 +60,7 @@ def main(built: str, pictures: str, scenario: str) -> None:
         is_facing = place.rotation[:, 2] @ place.position_m > FACING * away_m
         if is_facing and NEAREST_m < away_m < FARTHEST_m and x < ACROSS and y < UPWARD:
             poses.append(q_rad)
-    for folder, angles, taken in (
-        ("arm", "angles.csv", poses[:POSES]),
-        ("others", "others.csv", poses[POSES:]),
-    ):
+    for folder, angles, taken in (("arm", "angles.csv", poses[:POSES]), ("others", "others.csv", poses[POSES:])):
         count = len(taken)
         names = [f"{folder}{k:02d}" for k in range(count)]
         for name, q in zip(names, taken, strict=True):

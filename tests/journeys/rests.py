@@ -13,9 +13,7 @@ rest = np.array(arm.rest.q_rad if arm.rest else np.zeros(arm.joint_count))
 lower, upper = np.array(arm.limits_rad).T
 random, here, lines = np.random.default_rng(4), rest, list[str]()
 while len(lines) < 2 * count:
-    there = np.clip(
-        rest + 0.3 * (upper - lower) * random.uniform(-1.0, 1.0, len(rest)), lower + 0.05, upper - 0.05
-    )
+    there = np.clip(rest + 0.3 * (upper - lower) * random.uniform(-1.0, 1.0, len(rest)), lower + 0.05, upper - 0.05)
     way = here + np.linspace(0.0, 1.0, 12)[:, None] * (there - here)
     if is_above_floor(arm, body_points(arm, way) - [0.0, 0.0, 0.03]).all():
         lines += ["move --joints " + " ".join(f"{q:.3f}" for q in there), "wait 1"]

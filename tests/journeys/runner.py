@@ -24,10 +24,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ARMS: dict[str, dict[str, str]] = tomllib.loads((HERE / "arms.toml").read_text(encoding="utf-8"))
 LIMIT_s = 900.0  # of one command, on a busy machine
-NO_DECISION = {
-    f"--{word}"
-    for word in ["arm", "out", "yes", "mock", "points", "log", "against", "json", "scenario", "quit"]
-}
+NO_DECISION = {f"--{word}" for word in ["arm", "out", "yes", "mock", "points", "log", "against", "json", "scenario", "quit"]}
 
 
 class Stumble(AssertionError):
@@ -60,11 +57,7 @@ class Journey:
         """Who walks it, by its own line `Walked by: ...`, or `At each change: ...` for `make test`."""
         found = re.search(rf"^{when}: (.*)\.$", self.page.read_text(encoding="utf-8"), re.MULTILINE)
         named = [] if found is None else found[1].split(", ")
-        return [
-            arm
-            for arm, words in ARMS.items()
-            if arm in named or ("all" in named and "ONLY_NAMED" not in words)
-        ]
+        return [arm for arm, words in ARMS.items() if arm in named or ("all" in named and "ONLY_NAMED" not in words)]
 
     def steps(self) -> Iterator[Step]:
         """Its commands in order."""
@@ -103,20 +96,13 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
     run = folder / "run"
     run.mkdir(mode=0o700)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    around = os.environ | {
-        "PATH": path,
-        "PYTHONPATH": str(HERE.parents[1]),
-        "HOME": str(folder),
-        "XDG_RUNTIME_DIR": str(run),
-    }
+    around = os.environ | {"PATH": path, "PYTHONPATH": str(HERE.parents[1]), "HOME": str(folder), "XDG_RUNTIME_DIR": str(run)}
     running: list[subprocess.Popen[bytes]] = []
     try:
         for step in journey.steps():
             command = re.sub(r"\{([A-Z_]+)\}", lambda name: words[name[1]], step.command)
             if "armwright" in command:
-                done.options += [
-                    word for word in re.findall(r" (--[a-z-]+)", command) if word not in NO_DECISION
-                ]
+                done.options += [word for word in re.findall(r" (--[a-z-]+)", command) if word not in NO_DECISION]
             done.answers += len(step.typed)
             step.command = command
             _take(step, f"{journey.page.name}:{step.line}", folder, around, words, running)
@@ -130,21 +116,23 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
 
 
 def _take(
-    step: Step,
-    where: str,
-    folder: Path,
-    around: dict[str, str],
-    words: dict[str, str],
-    running: list[subprocess.Popen[bytes]],
+    step: Step, where: str, folder: Path, around: dict[str, str], words: dict[str, str], running: list[subprocess.Popen[bytes]]
 ) -> None:
     command, _, remark = step.command.partition(" # ")
     status = int(remark.removeprefix("status ")) if remark.startswith("status ") else 0
     said = folder / f"said-{where.rpartition(':')[2]}.txt"
     with said.open("wb") as out:
         process = subprocess.Popen(
-            command.removesuffix("&"), shell=True, executable="/bin/bash", cwd=folder, env=around, stdin=subprocess.PIPE,
-            stdout=out, stderr=subprocess.STDOUT, start_new_session=True,
-        )  # fmt: skip
+            command.removesuffix("&"),
+            shell=True,
+            executable="/bin/bash",
+            cwd=folder,
+            env=around,
+            stdin=subprocess.PIPE,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
     if process.stdin:
         process.stdin.write("".join(f"{line}\n" for line in step.typed).encode())
         process.stdin.close()
@@ -163,9 +151,7 @@ def _take(
     if (process.poll() or 0) != status or not _found(says, said, words):
         wanted = "\n".join(says)
         got = said.read_text(encoding="utf-8", errors="replace")[-4000:]
-        raise Stumble(
-            f"{where}: $ {command}\nstatus {process.poll()}, expected {status} and the words\n{wanted}\ngot\n{got}"
-        )
+        raise Stumble(f"{where}: $ {command}\nstatus {process.poll()}, expected {status} and the words\n{wanted}\ngot\n{got}")
 
 
 def _hear(says: list[str], said: Path, words: dict[str, str], process: subprocess.Popen[bytes]) -> bool:
@@ -190,7 +176,4 @@ def _found(says: list[str], said: Path, words: dict[str, str]) -> bool:
 def _pattern(line: str, words: dict[str, str]) -> str:
     parts = re.split(r"(\.\.\.|\{[A-Z_]+\})", line)
     known = {"...": r".*?"} | {f"{{{name}}}": re.escape(word) for name, word in words.items()}
-    return "".join(
-        known.get(part) or (rf"(?P<{part[1:-1]}>\S+)" if part.startswith("{") else re.escape(part))
-        for part in parts
-    )
+    return "".join(known.get(part) or (rf"(?P<{part[1:-1]}>\S+)" if part.startswith("{") else re.escape(part)) for part in parts)

@@ -11,16 +11,7 @@ from calib.capture.alignment import after_leaps, begins_s
 from calib.gap.log import read_log
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
-from tests.calib.capture.recordings import (
-    SYSTEM,
-    Both,
-    CAPTURE_Hz,
-    MARKERS_m,
-    NOISE_m,
-    SYSTEM_m,
-    c3d_bytes,
-    vicon_csv,
-)
+from tests.calib.capture.recordings import SYSTEM, Both, CAPTURE_Hz, MARKERS_m, NOISE_m, SYSTEM_m, c3d_bytes, vicon_csv
 from tests.journeys.truth import true_arm
 
 BEGUN_s = 2.3217  # after homing, at which the logged angles leap
@@ -43,9 +34,14 @@ def main(built: str, log: str, take: str, scenario: str) -> None:
     markers = np.stack([SYSTEM.apply(last + turn @ (at + marker)) + SYSTEM_m for marker in MARKERS_m])
     place_m = SYSTEM.apply(last + turn @ at) + SYSTEM_m
     made = Both(
-        true, t_s, q_rad, tau_s, place_m + random.normal(0.0, NOISE_m, place_m.shape), SYSTEM.as_matrix() @ turn,
+        true,
+        t_s,
+        q_rad,
+        tau_s,
+        place_m + random.normal(0.0, NOISE_m, place_m.shape),
+        SYSTEM.as_matrix() @ turn,
         markers + random.normal(0.0, NOISE_m, markers.shape),
-    )  # fmt: skip
+    )
     if take.endswith(".csv"):
         Path(take).write_text(vicon_csv(made), encoding="utf-8")
         return

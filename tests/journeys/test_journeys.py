@@ -21,9 +21,7 @@ def test_the_journey_comes_to_its_end(name: str, arm: str, tmp_path: Path) -> No
     walk(JOURNEYS[name], arm, tmp_path)
 
 
-def test_a_command_is_interrupted_once_it_has_said_the_words_and_says_the_rest_after_it(
-    tmp_path: Path,
-) -> None:
+def test_a_command_is_interrupted_once_it_has_said_the_words_and_says_the_rest_after_it(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(
         """\

@@ -31,17 +31,10 @@ def main() -> int:
     parser.add_argument("built", help="the file that the mock was built from")
     parser.add_argument("file")
     parser.add_argument("--scenario", default="demo")
-    parser.add_argument(
-        "--any-place", action="store_true", help="wherever the base stands: after the best rigid motion"
-    )
+    parser.add_argument("--any-place", action="store_true", help="wherever the base stands: after the best rigid motion")
     parser.add_argument("--times", type=float, default=1.0, help="how many times nearer the file must be")
     parser.add_argument("--below", type=float, default=np.inf, help="how far off the file may be, in mm")
-    parser.add_argument(
-        "--target",
-        type=float,
-        nargs=3,
-        help="what was seen instead of the tip, in the last link's frame, in m",
-    )
+    parser.add_argument("--target", type=float, nargs=3, help="what was seen instead of the tip, in the last link's frame, in m")
     given = parser.parse_args()
     built = load_arm(given.built)
     if given.target:
@@ -51,8 +44,7 @@ def main() -> int:
     q_rad = middle + 0.5 * half * np.random.default_rng(3).uniform(-1.0, 1.0, (300, built.joint_count))
     true_m = ForwardKinematics(true_arm(built, given.scenario)).tips(q_rad)
     off_mm = [
-        1e3 * distance_m(ForwardKinematics(arm).tips(q_rad), true_m, given.any_place)
-        for arm in (built, load_arm(given.file))
+        1e3 * distance_m(ForwardKinematics(arm).tips(q_rad), true_m, given.any_place) for arm in (built, load_arm(given.file))
     ]
     print(f"{given.built}: {off_mm[0]:.3f} mm; {given.file}: {off_mm[1]:.3f} mm")
     return int(off_mm[1] > given.below or (off_mm[0] < given.times * off_mm[1] and np.isinf(given.below)))

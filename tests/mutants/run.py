@@ -34,17 +34,11 @@ ROOT = Path(__file__).parents[2]
 LIST = Path(__file__).with_name("survivors.toml")
 TIMEOUT_s = 300
 TESTS: dict[str, tuple[str, ...]] = {
-    "control.safety.limits": (
-        "tests/control/safety/test_limits.py",
-        "tests/property/test_limits_properties.py",
-    ),
+    "control.safety.limits": ("tests/control/safety/test_limits.py", "tests/property/test_limits_properties.py"),
     "control.safety.monitor": ("tests/control/safety/test_monitor.py",),
     "control.safety.table": ("tests/control/safety/test_monitor.py",),
     "control.safety.fault": ("tests/control/safety/test_monitor.py", "tests/control/loop/test_reactions.py"),
-    "control.safety.motor_checks": (
-        "tests/control/safety/test_motor_checks.py",
-        "tests/control/loop/test_reactions.py",
-    ),
+    "control.safety.motor_checks": ("tests/control/safety/test_motor_checks.py", "tests/control/loop/test_reactions.py"),
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
     "control.safety.collision": ("tests/control/safety/test_collision.py",),
     "control.loop.drives": ("tests/control/loop/test_drives.py",),
@@ -69,9 +63,7 @@ class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def __init__(self, name: str, source: str) -> None:
         self._name, self._source = name, source
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         if fullname != self._name:
             return None
         return importlib.util.spec_from_loader(fullname, self, origin="mutant")

@@ -29,9 +29,7 @@ def test_an_unknown_kind_is_refused_with_the_known_ones() -> None:
         on_boards(RIGHT, "plc")
 
 
-def test_where_a_switch_is_the_zero_its_edge_is_approached_so_slowly_that_it_is_true_to_a_milliradian() -> (
-    None
-):
+def test_where_a_switch_is_the_zero_its_edge_is_approached_so_slowly_that_it_is_true_to_a_milliradian() -> None:
     arm = on_boards(RIGHT, "roboclaw")
     assert [drive.home.speed_rad_s for drive in arm.drives if drive.home] == [0.1, 0.1, 0.1]
     with holding_cell(scenario(NEAR_HOME, homed=False), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:

@@ -44,16 +44,10 @@ class Runtime:
         q_rad = tuple(q + (1e-3 * (round(50 * self.t_s) % 2) if self.trembles else 0.0) for q in self.q_rad)
         seen = None if self.q_rad == self.hidden else (0.51, 0.02, 0.1)
         target = None if seen is None else MeanPose(9, seen, (1e-4,) * 3, None)
-        return Average(
-            duration_s, 9, q_rad, (1e-5,) * 3, (0.3,) * 3, (1, -1, 1), 9, seen, None, (), self.t_s, target
-        )
+        return Average(duration_s, 9, q_rad, (1e-5,) * 3, (0.3,) * 3, (1, -1, 1), 9, seen, None, (), self.t_s, target)
 
     def status(self) -> dict[str, Any]:
-        return {
-            "t_s": self.t_s,
-            "temperature_C": (31.0, None, 29.0),
-            "camera_problem": "the marker is hidden",
-        }
+        return {"t_s": self.t_s, "temperature_C": (31.0, None, 29.0), "camera_problem": "the marker is hidden"}
 
 
 def stop(name: str, q_rad: tuple[float, ...], **others: Any) -> Stop[None]:

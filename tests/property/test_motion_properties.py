@@ -17,9 +17,7 @@ from control.motion.spline import timed
 LIMITS = JointLimits.of(load_arm("right"))
 coordinates = st.floats(-0.5, 0.5).map(lambda value: round(value, 4))
 points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=2, max_size=8)
-angles = st.tuples(
-    *(st.floats(low, high) for low, high in zip(LIMITS.lower_rad, LIMITS.upper_rad, strict=True))
-)
+angles = st.tuples(*(st.floats(low, high) for low, high in zip(LIMITS.lower_rad, LIMITS.upper_rad, strict=True)))
 
 
 def _distinct(waypoints):
@@ -28,17 +26,13 @@ def _distinct(waypoints):
 
 def _can_stay(state):
     """Whether a normal stop from `state` stays well inside: a move that starts so must not be refused."""
-    room = [
-        min(hi - q, q - lo) for q, lo, hi in zip(state.q_rad, LIMITS.lower_rad, LIMITS.upper_rad, strict=True)
-    ]
+    room = [min(hi - q, q - lo) for q, lo, hi in zip(state.q_rad, LIMITS.lower_rad, LIMITS.upper_rad, strict=True)]
     return all(space > 0.3 for space in room)
 
 
 @settings(max_examples=60, deadline=None)
 @given(points, st.floats(0.01, 1.0), st.booleans())
-def test_any_spline_meets_its_points_is_continuous_in_velocity_and_rests_at_its_ends(
-    waypoints, speed, is_free
-):
+def test_any_spline_meets_its_points_is_continuous_in_velocity_and_rests_at_its_ends(waypoints, speed, is_free):
     assume(_distinct(waypoints))
     recipe = timed(waypoints, None if is_free else speed, pace_m_s=speed)
     spline = recipe.spline()
@@ -88,7 +82,5 @@ def test_a_move_from_any_moving_state_stays_in_range_or_is_refused(start, speed,
         return
     assert move.at(move.duration_s).q_rad == end
     for i in range(41):
-        for q, low, high in zip(
-            move.at(move.duration_s * i / 40).q_rad, LIMITS.lower_rad, LIMITS.upper_rad, strict=True
-        ):
+        for q, low, high in zip(move.at(move.duration_s * i / 40).q_rad, LIMITS.lower_rad, LIMITS.upper_rad, strict=True):
             assert low - 1e-8 <= q <= high + 1e-8

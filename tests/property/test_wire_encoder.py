@@ -33,9 +33,7 @@ def test_frames_survive_the_line_in_pieces_of_any_size(frames: list[wire.Frame],
 
 
 @given(st.lists(st.binary(max_size=120), max_size=5), FRAMES)
-def test_random_bytes_never_raise_and_a_frame_behind_them_is_found(
-    noise: list[bytes], frame: wire.Frame
-) -> None:
+def test_random_bytes_never_raise_and_a_frame_behind_them_is_found(noise: list[bytes], frame: wire.Frame) -> None:
     decoder = wire.Decoder()
     for piece in noise:
         decoder.feed(piece)

@@ -22,21 +22,7 @@ from procedures.new_arm.answers import USUAL_AXES
 from procedures.on_boards import REFERENCE
 
 AT_EACH_CHANGE, AT_NIGHT = 7, 300
-NAMES = (
-    "a",
-    "7",
-    "left-arm_2",
-    "Z" * 64,
-    "x.y",
-    "my arm",
-    "Größe µ",
-    "名",
-    "a'b\"c",
-    "100%",
-    "{x}",
-    "a:b",
-    "<b>&",
-)
+NAMES = ("a", "7", "left-arm_2", "Z" * 64, "x.y", "my arm", "Größe µ", "名", "a'b\"c", "100%", "{x}", "a:b", "<b>&")
 LENGTHS_lg_m = (-3.0, 0.5)  # from a millimetre to three metres
 
 
@@ -44,26 +30,15 @@ def drawn(seed: int, folder: Path) -> Arm:
     """An arm from `armwright new`, with every answer at random."""
     random = np.random.default_rng(seed)
     joints = int(random.integers(2, 8))
-    axes = (
-        USUAL_AXES[joints]
-        if random.random() < 0.3
-        else "z" + "".join(random.choice([*"xyz"], joints - 2)) + "y"
-    )
+    axes = USUAL_AXES[joints] if random.random() < 0.3 else "z" + "".join(random.choice([*"xyz"], joints - 2)) + "y"
     kinds = [str(kind) for kind in random.choice([REFERENCE, *KINDS], joints if random.random() < 0.5 else 1)]
-    on_can = {
-        "" if kind == REFERENCE else kind for kind in kinds if kind == REFERENCE or KINDS[kind].line == "can"
-    }
+    on_can = {"" if kind == REFERENCE else kind for kind in kinds if kind == REFERENCE or KINDS[kind].line == "can"}
     if bus_conflict(on_can):
         kinds = kinds[:1]
     lengths = [f"{length:.6g}" for length in 10.0 ** random.uniform(*LENGTHS_lg_m, joints)]
     out = folder / "new.toml"
     options = ["--joints", str(joints), "--axes", axes, "--lengths", *lengths, "--boards", *kinds]
-    options += [
-        "--convention",
-        str(random.choice(["standard", "modified"])),
-        "--name",
-        str(random.choice(NAMES)),
-    ]
+    options += ["--convention", str(random.choice(["standard", "modified"])), "--name", str(random.choice(NAMES))]
     options += ["--home", str(random.choice(["yes", "no"]))] if REFERENCE in kinds else []
     assert main(["new", "--out", str(out), *options, "--yes"]) == 0, options
     return load_arm(out)
@@ -78,24 +53,10 @@ def brought_up_and_tuned(arm: Arm, random: np.random.Generator) -> Arm:
         kp, ki, kd = (10.0 ** random.uniform(-1.0, 4.0, 3)).tolist()
         gains = replace(drive.pid, kp=kp, ki=ki, kd=kd)
         sign = int(random.choice([-1, 1]))
-        limits = {
-            "joint_lower_rad": drive.joint_lower_rad,
-            "joint_upper_rad": round(drive.joint_upper_rad - shrunk, 3),
-        }
-        is_free = (
-            home is None
-            and arm.rest is not None
-            and arm.rest.q_rad[drive.joint - 1] < limits["joint_upper_rad"]
-        )
+        limits = {"joint_lower_rad": drive.joint_lower_rad, "joint_upper_rad": round(drive.joint_upper_rad - shrunk, 3)}
+        is_free = home is None and arm.rest is not None and arm.rest.q_rad[drive.joint - 1] < limits["joint_upper_rad"]
         drives.append(
-            replace(
-                drive,
-                home=home,
-                pid=gains,
-                encoder_direction=sign,
-                motor_direction=sign,
-                **(limits if is_free else {}),
-            )
+            replace(drive, home=home, pid=gains, encoder_direction=sign, motor_direction=sign, **(limits if is_free else {}))
         )
     friction = tuple(
         Effect(f"{name}_friction", drive.joint, {key: round(float(random.uniform(0.0, 2.0)), 4)})
@@ -153,12 +114,7 @@ def used_by_every_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         # One of 28, eight centimetres high, has no free pose that may be planned: it is read, and told so.
         assert status in (0, 1) or "no pose is left to plan" in said, (line, said[-500:])
     armwright.calibrate(load_arm(Path(nominal)), read_points(Path(points))[0]).save(folder / "saved")
-    for file in (
-        Path(arm),
-        folder / "again" / "arm.toml",
-        folder / "gap" / "arm.toml",
-        folder / "saved" / "arm.toml",
-    ):
+    for file in (Path(arm), folder / "again" / "arm.toml", folder / "gap" / "arm.toml", folder / "saved" / "arm.toml"):
         if file.exists() or file.parent.name != "gap":  # which writes one only if it has found something
             read_by_every_command(file, file.parent, capsys)
 
@@ -177,9 +133,7 @@ def walk(seed: int, folder: Path, capsys: pytest.CaptureFixture[str], with_calib
 
 
 @pytest.mark.parametrize("seed", range(AT_EACH_CHANGE))
-def test_whatever_is_written_of_a_random_arm_is_read(
-    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_whatever_is_written_of_a_random_arm_is_read(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk(seed, tmp_path, capsys, with_calibration=False)
 
 

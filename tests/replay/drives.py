@@ -33,9 +33,7 @@ from hil_mocks.scenario import FaultTable, Start, load_scenario
 FOLDER = Path(__file__).parent / "recorded"
 ARM = load_arm("right")
 LAYOUT = Layout.of(ARM.joint_count)
-COLUMNS = stored_columns(
-    LAYOUT.names, LAYOUT.codes, [JointMap(drive).radians_per_count for drive in ARM.drives]
-)
+COLUMNS = stored_columns(LAYOUT.names, LAYOUT.codes, [JointMap(drive).radians_per_count for drive in ARM.drives])
 PERIOD_s = 0.002
 START_rad = (0.1, -0.6, 0.2)
 _DELIVERY, _FRAME = struct.Struct("<dHB"), struct.Struct("<HB")

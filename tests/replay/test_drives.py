@@ -7,13 +7,9 @@ import pytest
 
 from tests.replay.drives import DRIVES, LAYOUT, Recorded, driven, path_of
 
-EXACT = (
-    "cycle", "run", "mode", "count", "statusword", "drive_faults", "flags", "missed", "page_faults", "switches"
-)  # fmt: skip
+EXACT = ("cycle", "run", "mode", "count", "statusword", "drive_faults", "flags", "missed", "page_faults", "switches")
 # What the file is rounded to, and what rounding differs by between processors and libraries.
-TOLERANCES = {
-    "_rad_s": 2e-6, "_rad": 1e-8, "_V": 1e-3, "_A": 1e-3, "_kg": 1e-6, "_C": 1e-2, "_s": 1e-6, "_m": 1e-6,
-}  # fmt: skip
+TOLERANCES = {"_rad_s": 2e-6, "_rad": 1e-8, "_V": 1e-3, "_A": 1e-3, "_kg": 1e-6, "_C": 1e-2, "_s": 1e-6, "_m": 1e-6}
 
 
 @pytest.mark.parametrize("name", DRIVES)

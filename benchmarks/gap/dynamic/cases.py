@@ -91,12 +91,7 @@ def _batch(asked: Sequence[Asked], under: Conditions) -> Iterator[Case]:
     if any(one.rough for one in asked):
         n = len(arm["drive"])
         shares = [
-            drawn(
-                np.random.default_rng(one.asked.seed + 5_000_000),
-                n,
-                one.asked.rough,
-                {entry["joint"] for entry in one.truth},
-            )
+            drawn(np.random.default_rng(one.asked.seed + 5_000_000), n, one.asked.rough, {entry["joint"] for entry in one.truth})
             for one in drafts
         ]
         recorded = RoughSimulation(plant, sets, forward, side_by_side(shares, RUNS)).run()
@@ -131,27 +126,31 @@ def _draft(asked: Asked, arm: Mapping[str, Any], under: Conditions) -> _Draft:
     return _Draft(asked, rng, known, hidden, tuple(truth), set_points(rng, under.rate_Hz, under.seconds, n))
 
 
-def _side_by_side(
-    drafts: Sequence[_Draft], arm: Mapping[str, Any], under: Conditions
-) -> tuple[Plant, Array, Array]:
+def _side_by_side(drafts: Sequence[_Draft], arm: Mapping[str, Any], under: Conditions) -> tuple[Plant, Array, Array]:
     """One plant of all cases' runs, set-points and feed-forward voltages (samples, n, B)."""
     chain = _chain(arm, RUNS * len(drafts))
     load = np.array([PAYLOAD_kg if k in LOADED else 0.0 for _ in drafts for k in range(RUNS)])
     sets = np.stack([run for draft in drafts for run in draft.sets], axis=2)
     forward = _forward(chain, sets, drafts, load, under.rate_Hz)
     whole = {
-        name: np.repeat([draft.hidden.whole.get(name, 0.0) for draft in drafts], RUNS)
-        for name in ("payload", "delay", "sag")
+        name: np.repeat([draft.hidden.whole.get(name, 0.0) for draft in drafts], RUNS) for name in ("payload", "delay", "sag")
     }
     joints = {
-        name: np.repeat(np.stack([draft.hidden.joints[name] for draft in drafts], axis=1), RUNS, axis=1)
-        for name in NUMBERS
+        name: np.repeat(np.stack([draft.hidden.joints[name] for draft in drafts], axis=1), RUNS, axis=1) for name in NUMBERS
     }
     drive = arm["drive"][0]
     plant = Plant(
-        _loaded(chain, drafts), joints, load + whole["payload"], whole["delay"], whole["sag"],
-        drive["supply_V"], drive["current_limit_A"], GAINS, under.rate_Hz, under.sampled_late,
-    )  # fmt: skip
+        _loaded(chain, drafts),
+        joints,
+        load + whole["payload"],
+        whole["delay"],
+        whole["sag"],
+        drive["supply_V"],
+        drive["current_limit_A"],
+        GAINS,
+        under.rate_Hz,
+        under.sampled_late,
+    )
     return plant, sets, forward
 
 
@@ -196,25 +195,15 @@ def _forward(chain: Chain, sets: Array, drafts: Sequence[_Draft], load: Array, r
 
 
 def _case(
-    draft: _Draft,
-    text: str,
-    recorded: Recorded,
-    places: slice,
-    sets: Array,
-    arm: Mapping[str, Any],
-    under: Conditions,
+    draft: _Draft, text: str, recorded: Recorded, places: slice, sets: Array, arm: Mapping[str, Any], under: Conditions
 ) -> Case:
     runs = tuple(_run(draft, k, recorded, places.start + k, sets, arm, under) for k in range(RUNS))
     return Case(draft.asked, text + _frictions(draft), runs, draft.truth)
 
 
-def _run(
-    draft: _Draft, k: int, recorded: Recorded, at: int, sets: Array, arm: Mapping[str, Any], under: Conditions
-) -> Array:
+def _run(draft: _Draft, k: int, recorded: Recorded, at: int, sets: Array, arm: Mapping[str, Any], under: Conditions) -> Array:
     """Run `k` of a case, which is run `at` of the plant, as log.csv has it: a row a sample."""
-    encoder, joint, speed = (
-        part[:, :, at].copy() for part in (recorded.encoder_rad, recorded.joint_rad, recorded.speed_rad_s)
-    )
+    encoder, joint, speed = (part[:, :, at].copy() for part in (recorded.encoder_rad, recorded.joint_rad, recorded.speed_rad_s))
     current, voltage = recorded.current_A[:, :, at].copy(), recorded.voltage_V[:, :, at]
     t = np.asarray((1.0 / under.rate_Hz) * np.arange(len(encoder)), dtype=np.float64)
     _sensed(draft, t, encoder, joint, speed, current)
@@ -264,22 +253,15 @@ def _tips(draft: _Draft, joint: Array, arm: Mapping[str, Any]) -> Array:
         *new, r = turned(frame, row, joint[:, k] if k < joint.shape[1] else still)  # type: ignore[arg-type]
         frame, origin = tuple(new), origin + r
     tip = origin.T
-    return np.asarray(
-        tip - base[:3] - np.cross(base[3:], tip)
-    )  # in the camera's frame, which lies so in the arm's
+    return np.asarray(tip - base[:3] - np.cross(base[3:], tip))  # in the camera's frame, which lies so in the arm's
 
 
 def _frictions(draft: _Draft) -> str:
     lines = []
     for j in range(len(draft.known["C"])):
-        for effect, key, name in (
-            ("coulomb_friction", "torque_Nm", "C"),
-            ("viscous_friction", "coefficient_Nm_s_rad", "V"),
-        ):
+        for effect, key, name in (("coulomb_friction", "torque_Nm", "C"), ("viscous_friction", "coefficient_Nm_s_rad", "V")):
             value = draft.known[name][j]
-            lines.append(
-                f'[[effect]]\neffect = "{effect}"\njoint = {j + 1}\nparameters = {{ {key} = {value:.6f} }}\n\n'
-            )
+            lines.append(f'[[effect]]\neffect = "{effect}"\njoint = {j + 1}\nparameters = {{ {key} = {value:.6f} }}\n\n')
     return "".join(lines)
 
 
@@ -400,10 +382,13 @@ class RoughSimulation(Simulation):
         load = 1.0 + s["load"] * np.minimum(np.abs(state.transmitted) / LOAD_Nm, 2.0)
         speed = np.abs(state.motor_speed)
         self._p = {
-            **p, "C": p["C"] * level, "asym": p["asym"] * level, "load": p["load"] * load,
+            **p,
+            "C": p["C"] * level,
+            "asym": p["asym"] * level,
+            "load": p["load"] * load,
             "V": p["V"] * (1.0 + s["bend"] * np.minimum(speed / SPEED_rad_s, 2.0)),
             "Fs": p["Fs"] * (1.0 + s["exponent"] * np.minimum(speed / p["vs"], 2.0)),
-        }  # fmt: skip
+        }
         total = super()._opposing(state, share)
         self._p = p
         if "cog_A" in self._used:
@@ -445,6 +430,4 @@ class RoughSimulation(Simulation):
 
 def side_by_side(shares: Sequence[dict[str, Array]], runs: int) -> dict[str, Array]:
     """Shares of several cases, each for all of its runs: (n, B)."""
-    return {
-        name: np.repeat(np.stack([one[name] for one in shares], axis=1), runs, axis=1) for name in shares[0]
-    }
+    return {name: np.repeat(np.stack([one[name] for one in shares], axis=1), runs, axis=1) for name in shares[0]}

@@ -86,9 +86,7 @@ def turned(frame: tuple[Array, Array, Array], row: Array, angle: Array) -> tuple
     return along, across * ca + z * sa, z * ca - across * sa, along * length + z * d
 
 
-def rnea(
-    chain: Chain, q: Array, qd: Array, qdd: Array, gravity: Array, payload: Array, mass: Array, inertia: Array
-) -> Array:
+def rnea(chain: Chain, q: Array, qd: Array, qdd: Array, gravity: Array, payload: Array, mass: Array, inertia: Array) -> Array:
     """Joint torques (n, B) in the base frame; links of `dh` beyond the joints are fixed and end at the tip."""
     n, wide = q.shape
     frame = tuple(np.repeat(axis[:, None], wide, axis=1) for axis in np.eye(3))
@@ -150,14 +148,7 @@ class _Body:
         speed = np.zeros_like(self._unit)
         speed[:, : self._wide] = qd
         found = rnea(
-            self._chain,
-            np.tile(q, self._n + 1),
-            speed,
-            self._unit,
-            self._gravity,
-            self._payload,
-            self._mass,
-            self._inertia,
+            self._chain, np.tile(q, self._n + 1), speed, self._unit, self._gravity, self._payload, self._mass, self._inertia
         ).reshape(self._n, self._n + 1, self._wide)
         return found[:, 1:], found[:, 0]
 

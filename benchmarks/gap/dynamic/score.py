@@ -83,9 +83,7 @@ def plan(group: str, first_seed: int, count: int | None = None) -> list[Asked]:
             wanted = [("none", None, 1.0)] * (count or 60)
         case "single":
             wanted = [(name, joint, SIZES[k % 2]) for k, (name, joint) in enumerate(singles)]
-            wanted += [
-                (name, joint, SIZES[1 - k % 2]) for k, (name, joint) in enumerate(singles) if k % 3 == 0
-            ]
+            wanted += [(name, joint, SIZES[1 - k % 2]) for k, (name, joint) in enumerate(singles) if k % 3 == 0]
         case "pair":
             wanted = [(names, None, 1.0) for names in PAIRS]
         case "own":
@@ -146,9 +144,7 @@ def _key(entry: dict[str, Any]) -> tuple[str, int | None]:
 def _is_nameable(found: GapFinding, entry: dict[str, Any], arm: Arm) -> bool:
     """Whether the workflow predicts this effect as nameable, of usual size."""
     effect, joint = _key(entry)
-    return any(
-        (one.name.effect, one.name.joint) == (effect, joint) and one.is_nameable for one in found.nameable
-    )
+    return any((one.name.effect, one.name.joint) == (effect, joint) and one.is_nameable for one in found.nameable)
 
 
 def _sensor_warning(truth: Sequence[dict[str, Any]], warnings: Sequence[str]) -> str:
@@ -184,11 +180,7 @@ def _finding_text(found: GapFinding) -> str:
     parts = [str(effect.name) for effect in found.effects]
     parts += ["{" + ", ".join(str(name) for name in names) + "}" for names in found.ambiguous]
     if found.unknown is not None:
-        near = (
-            f"; nearest {found.unknown.nearest}, {found.unknown.explained:.0%}"
-            if found.unknown.nearest
-            else ""
-        )
+        near = f"; nearest {found.unknown.nearest}, {found.unknown.explained:.0%}" if found.unknown.nearest else ""
         parts.append(f"unknown ({found.unknown.where}{near})")
     return "; ".join(parts) or "nothing"
 
@@ -210,9 +202,7 @@ def _worst(listed: Sequence[dict[str, Any]], found: GapFinding) -> float:
     return worst
 
 
-def scores(
-    groups: Iterable[str], first_seed: int, count: int | None, under: Conditions, saved: Path | None
-) -> Iterator[Score]:
+def scores(groups: Iterable[str], first_seed: int, count: int | None, under: Conditions, saved: Path | None) -> Iterator[Score]:
     """Scores of all cases; those already in `saved` are read from it."""
     known = _read(saved)
     asked = _interleaved([[(group, one) for one in plan(group, first_seed, count)] for group in groups])
@@ -279,15 +269,11 @@ def matrix(found: Sequence[Score]) -> str:
     """Rows: hidden effects; columns: findings."""
     rows: dict[str, Counter[str]] = {}
     for one in found:
-        name = "".join(c for c in one.hidden if not c.isdigit()) + (
-            " (off the list)" if one.group == "own" else ""
-        )
+        name = "".join(c for c in one.hidden if not c.isdigit()) + (" (off the list)" if one.group == "own" else "")
         right = one.verdict.startswith(("right", "null: no name"))
         answer = "itself" if right and one.hidden != "none" else one.answer
         rows.setdefault(name, Counter())[answer] += 1
-    columns = sorted(
-        {answer for row in rows.values() for answer in row}, key=lambda a: (a != "itself", len(a), a)
-    )
+    columns = sorted({answer for row in rows.values() for answer in row}, key=lambda a: (a != "itself", len(a), a))
     lines = [f"{'hidden':50}" + "  ".join(columns)]
     for name, row in rows.items():
         lines.append(f"{name:50}" + "  ".join(f"{row[a] or '.':>{len(a)}}" for a in columns))
@@ -314,9 +300,7 @@ def figures(found: Sequence[Score]) -> Iterator[str]:
         some = [s for s in found if s.group == group]
         if some:
             counts = Counter(s.verdict for s in some)
-            yield f"{group}: {len(some)} cases, " + ", ".join(
-                f"{n} {verdict}" for verdict, n in counts.items()
-            )
+            yield f"{group}: {len(some)} cases, " + ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
     yield f"seconds a case: median {np.median([s.seconds for s in found]):.0f}, most {max(s.seconds for s in found):.0f}"
 
 

@@ -25,18 +25,48 @@ from control.model.effects import EFFECTS
 SORTS = ("exact", "rough", "many", "null", "foreign", "known")
 ROUGH, ROUGH_MANY = 0.08, 0.08
 MANY = (
-    "coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "asymmetric_friction", "cogging",
-    "torque_constant", "joint_compliance", "backlash", "encoder_eccentricity", "encoder_scale", "thermal_drift",
-)  # fmt: skip
+    "coulomb_friction",
+    "viscous_friction",
+    "stribeck_friction",
+    "load_friction",
+    "asymmetric_friction",
+    "cogging",
+    "torque_constant",
+    "joint_compliance",
+    "backlash",
+    "encoder_eccentricity",
+    "encoder_scale",
+    "thermal_drift",
+)
 KNOWABLE = (
-    "encoder_scale", "backlash", "joint_compliance", "load_friction", "torque_constant", "coulomb_friction", "cogging",
-    "asymmetric_friction", "command_delay", "supply_sag", "encoder_eccentricity", "belt_coupling",
-)  # fmt: skip
+    "encoder_scale",
+    "backlash",
+    "joint_compliance",
+    "load_friction",
+    "torque_constant",
+    "coulomb_friction",
+    "cogging",
+    "asymmetric_friction",
+    "command_delay",
+    "supply_sag",
+    "encoder_eccentricity",
+    "belt_coupling",
+)
 INVERSE = ("stiffness_Nm_rad", "EI_Nm2")  # the softness is what is known in part
 SCALED = (
-    "torque_Nm", "coefficient_Nm_s_rad", "fraction", "amplitude_Nm", "amplitude_rad", "width_rad", "ratio", "delay_s",
-    "resistance_ohm", "mass_kg", "inertia_kg_m2", *INVERSE,
-)  # fmt: skip
+    "torque_Nm",
+    "coefficient_Nm_s_rad",
+    "fraction",
+    "amplitude_Nm",
+    "amplitude_rad",
+    "width_rad",
+    "ratio",
+    "delay_s",
+    "resistance_ohm",
+    "mass_kg",
+    "inertia_kg_m2",
+    *INVERSE,
+)
 GEARS = ("joint_compliance", "backlash")
 
 
@@ -61,12 +91,7 @@ def asked(sort: str, seed: int) -> Asked:
             return Asked(seed, "+".join(names), rough=ROUGH_MANY)
         case _:
             name, joint = every[int(rng.integers(len(every)))]
-            return Asked(
-                seed,
-                name,
-                joint or (2 if name == "link_geometry" else 1),
-                rough=ROUGH if sort == "rough" else 0.0,
-            )
+            return Asked(seed, name, joint or (2 if name == "link_geometry" else 1), rough=ROUGH if sort == "rough" else 0.0)
 
 
 def known_in_part(case: Case) -> Arm:
@@ -155,20 +180,18 @@ def _judge(case: Case, found: GapFinding, tally: Tally, label: str) -> None:
     tally.count["unknown"] += found.unknown is not None
     for name in wanted.keys() & got.keys():
         for key, true in wanted[name].items():
-            if key in got[name].parameters and key not in (
-                "order",
-                "phase_rad",
-                "speed_rad_s",
-                "time_constant_s",
-            ):
+            if key in got[name].parameters and key not in ("order", "phase_rad", "speed_rad_s", "time_constant_s"):
                 value, sd = got[name].parameters[key]
                 base = true - 1.0 if name.effect == "torque_constant" else true
                 tally.errors.append(abs(value - true) / abs(base))
                 tally.inside.append(abs(value - true) / max(sd, 1e-300))
     if wanted and wanted.keys() <= got.keys():
         tally.gaps.append(found.gap_after)
-    said = {str(name): {k: (float(f"{v[0]:.4g}"), float(f"{v[1]:.2g}")) for k, v in one.parameters.items()}
-            for name, one in got.items() if name.effect != "link_geometry"}  # fmt: skip
+    said = {
+        str(name): {k: (float(f"{v[0]:.4g}"), float(f"{v[1]:.2g}")) for k, v in one.parameters.items()}
+        for name, one in got.items()
+        if name.effect != "link_geometry"
+    }
     say(
         f"  {label} {'ok ' if is_exact and not (found.unknown and wanted) else 'BAD' if wrong or not wanted else '-- '}"
         f" {[(str(n), {k: float(f'{v:.4g}') for k, v in p.items()}) for n, p in wanted.items()] or case.asked.effects}: {said}"

@@ -58,7 +58,7 @@ DRIFT_S = (60.0, 200.0)  # time constant: a recording lasts some four minutes
 PAIRS: dict[Level, tuple[tuple[str, str], ...]] = {
     "static": (("backlash", "joint_compliance"), ("encoder_eccentricity", "belt_coupling"), ("encoder_scale", "backlash")),
     "dynamic": (("load_friction", "cogging"), ("viscous_friction", "torque_constant"), ("command_delay", "stribeck_friction")),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +166,7 @@ def drawn(level: Level, arm: Arm, count: int, first_seed: int) -> Iterator[MockC
     table = STATIC if level == "static" else DYNAMIC
     order = np.random.default_rng(first_seed).permutation(list(table))
     for k in range(count):
-        yield MockCase(
-            level, (_drawn(str(order[k % len(order)]), level, arm, first_seed + k),), first_seed + k
-        )
+        yield MockCase(level, (_drawn(str(order[k % len(order)]), level, arm, first_seed + k),), first_seed + k)
 
 
 def pairs(level: Level, arm: Arm, count: int, first_seed: int) -> Iterator[MockCase]:
@@ -176,9 +174,7 @@ def pairs(level: Level, arm: Arm, count: int, first_seed: int) -> Iterator[MockC
     for k in range(count):
         seed = first_seed + k
         names = PAIRS[level][k % len(PAIRS[level])]
-        yield MockCase(
-            level, tuple(_drawn(name, level, arm, 10 * seed + i) for i, name in enumerate(names)), seed
-        )
+        yield MockCase(level, tuple(_drawn(name, level, arm, 10 * seed + i) for i, name in enumerate(names)), seed)
 
 
 def nulls(level: Level, count: int, first_seed: int) -> Iterator[MockCase]:
@@ -201,9 +197,7 @@ def arm_with_friction(arm: Arm, seed: int) -> Arm:
     for j, drive in enumerate(arm.drives, start=1):
         stall = drive.gear_ratio * drive.torque_constant_Nm_A * drive.current_limit_A
         found.append(Effect("coulomb_friction", j, {"torque_Nm": stall * float(rng.uniform(0.016, 0.037))}))
-        found.append(
-            Effect("viscous_friction", j, {"coefficient_Nm_s_rad": stall * float(rng.uniform(0.012, 0.037))})
-        )
+        found.append(Effect("viscous_friction", j, {"coefficient_Nm_s_rad": stall * float(rng.uniform(0.012, 0.037))}))
     return replace(arm, effects=(*arm.effects, *found))
 
 
@@ -211,9 +205,7 @@ def write_case(folder: Path, case: MockCase, arm: Arm, recording: Points | Log) 
     """Write the recording in the formats of docs/formats.md: arm.toml, truth.json, and points.csv or log.csv.gz."""
     folder.mkdir(parents=True, exist_ok=True)
     save_arm(arm, folder / "arm.toml")
-    effects = [
-        {"effect": e.effect, "joint": e.joint or None, "parameters": e.parameters} for e in case.hidden
-    ]
+    effects = [{"effect": e.effect, "joint": e.joint or None, "parameters": e.parameters} for e in case.hidden]
     truth = {"seed": case.seed, "effects": effects}
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     if isinstance(recording, Points):

@@ -20,13 +20,7 @@ LOADED = (6, 9)  # runs
 ORDER = ("slow", "creep", "free", "sweep", "fast", "ramps", "other", "slow", "third", "ramps", "free")
 
 
-def motion_case(
-    arm: Arm,
-    hidden: Sequence[EffectEntry],
-    seed: int,
-    seconds: float = SECONDS,
-    link_share: float = 0.5,
-) -> Log:
+def motion_case(arm: Arm, hidden: Sequence[EffectEntry], seed: int, seconds: float = SECONDS, link_share: float = 0.5) -> Log:
     """The runs of an arm with these effects; frictions of arm.toml are real, and the controller feeds them forward."""
     rng = np.random.default_rng(seed)
     effects = effects_with(arm, hidden)

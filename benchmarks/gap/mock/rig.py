@@ -29,9 +29,7 @@ ADDED = ("coulomb_friction", "viscous_friction", "payload")  # added to those in
 def effects_with(arm: Arm, hidden: Sequence[EffectEntry]) -> PlantEffects:
     """The plant's effects: the file's own, and the hidden ones beyond them."""
     own = [EffectEntry(e.effect, e.joint or 0, e.parameters) for e in arm.effects]
-    return gather(
-        [*own, *(_beyond(own, one) for one in hidden)], arm.joint_count, len(arm.links), "mock case"
-    )
+    return gather([*own, *(_beyond(own, one) for one in hidden)], arm.joint_count, len(arm.links), "mock case")
 
 
 def _beyond(own: Sequence[EffectEntry], one: EffectEntry) -> EffectEntry:
@@ -81,9 +79,7 @@ class MockRig:
         rate_Hz: float = CONTROL_Hz,
     ) -> None:
         self._arm, self._hidden_kg = arm, effects.payload_kg
-        self._plant = Plant(
-            parts_of(arm), effects, start_rad, PlantOptions(timestep_s=step_s, link_share=link_share)
-        )
+        self._plant = Plant(parts_of(arm), effects, start_rad, PlantOptions(timestep_s=step_s, link_share=link_share))
         self._pieces, self._steps = pieces, round(1.0 / (rate_Hz * pieces * step_s))
         self._rate_Hz = rate_Hz
         gains = [gains_of(arm, j) for j in range(1, arm.joint_count + 1)]
@@ -123,9 +119,7 @@ class MockRig:
     def reading(self) -> Reading:
         """Read all values now."""
         plant = self._plant
-        return Reading(
-            tuple(self._encoders()), tuple(plant.bridges.currents_A()), plant.tip_m(), plant.time_s
-        )
+        return Reading(tuple(self._encoders()), tuple(plant.bridges.currents_A()), plant.tip_m(), plant.time_s)
 
     def _encoders(self) -> list[float]:
         angles = self._plant.encoder_angles_rad()

@@ -20,16 +20,7 @@ from control.plain_text import Advance
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: more threads only wait
 
 from benchmarks.gap.matrix import Answer, answer, score_text
-from benchmarks.gap.mock.cases import (
-    Level,
-    MockCase,
-    arm_with_friction,
-    drawn,
-    grid,
-    nulls,
-    pairs,
-    write_case,
-)  # fmt: skip
+from benchmarks.gap.mock.cases import Level, MockCase, arm_with_friction, drawn, grid, nulls, pairs, write_case
 from benchmarks.gap.mock.motion import motion_case
 from benchmarks.gap.mock.static import static_case
 from calib.gap.finding import GapFinding
@@ -88,12 +79,7 @@ def plan(level: Level, arm: Arm, count: int, first_seed: int = FIRST_SEED) -> li
 
 
 def answers(
-    cases: Sequence[MockCase],
-    arm: Arm,
-    advance: Advance,
-    save: Path | None = None,
-    both: bool = True,
-    processes: int = 2,
+    cases: Sequence[MockCase], arm: Arm, advance: Advance, save: Path | None = None, both: bool = True, processes: int = 2
 ) -> list[Answer]:
     """All cases, one process per core; `advance` gets the last step and the share done."""
     found: list[Answer] = []
@@ -107,22 +93,13 @@ def answers(
 
 def main() -> None:
     """Print a line a case, the confusion matrix and the figures."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--level", choices=("static", "dynamic"), action="append")
     parser.add_argument("--cases", type=int, help="of each sort; default 16 static, 8 dynamic")
     parser.add_argument("--arm", default="right", help="arm.toml, or an arm that ships")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument(
-        "--grid",
-        nargs="*",
-        metavar="WORD",
-        help="every effect, joint and size; only those that contain a WORD",
-    )
-    parser.add_argument(
-        "--once", action="store_true", help="do not repeat without the hidden effects in the list"
-    )
+    parser.add_argument("--grid", nargs="*", metavar="WORD", help="every effect, joint and size; only those that contain a WORD")
+    parser.add_argument("--once", action="store_true", help="do not repeat without the hidden effects in the list")
     parser.add_argument("--save", type=Path, help="folder for the recordings, as docs/formats.md has them")
     parser.add_argument("--processes", type=int, default=2)
     given = parser.parse_args()
@@ -132,9 +109,7 @@ def main() -> None:
         if given.grid is None:
             cases = plan(level, arm, count, given.first_seed)
         else:
-            cases = [
-                one for one in grid(level, arm, given.first_seed) if all(w in str(one) for w in given.grid)
-            ]
+            cases = [one for one in grid(level, arm, given.first_seed) if all(w in str(one) for w in given.grid)]
         found = answers(cases, arm, _line, given.save, not given.once, given.processes)
         sys.stdout.write(score_text(f"mock arm, {level}", found, GAP_TARGET[level]) + "\n")
 

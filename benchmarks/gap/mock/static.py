@@ -23,11 +23,7 @@ MARGIN = 0.12  # of a joint's range, kept at both ends
 
 
 def static_case(
-    arm: Arm,
-    hidden: Sequence[EffectEntry],
-    seed: int,
-    is_crooked: bool = True,
-    has_unknown_friction: bool = True,
+    arm: Arm, hidden: Sequence[EffectEntry], seed: int, is_crooked: bool = True, has_unknown_friction: bool = True
 ) -> Points:
     """Some 180 poses of an arm with these effects; `is_crooked`: its geometry is off by millimetres and milliradians.
 
@@ -37,9 +33,7 @@ def static_case(
     friction = _frictions(arm, rng) if has_unknown_friction else []
     entries = [*friction, *hidden, *([geometry_of(arm, rng)] if is_crooked else [])]
     visits = _visits(arm, rng)
-    rig = MockRig(
-        arm, effects_with(arm, entries), visits[0][2].tolist(), integral=False, step_s=STEP_S, rate_Hz=RATE_Hz
-    )
+    rig = MockRig(arm, effects_with(arm, entries), visits[0][2].tolist(), integral=False, step_s=STEP_S, rate_Hz=RATE_Hz)
     place, readings = visits[0][2], []
     for payload in (0.0, PAYLOAD_kg):
         rig.load(payload)
@@ -95,11 +89,7 @@ def _frictions(arm: Arm, rng: np.random.Generator) -> list[EffectEntry]:
 def geometry_of(arm: Arm, rng: np.random.Generator) -> EffectEntry:
     """How an arm's links are off its file."""
     sizes = {"d_m": GEOMETRY_m, "theta_rad": GEOMETRY_rad, "L_m": GEOMETRY_m, "alpha_rad": GEOMETRY_rad}
-    values = {
-        f"link{i + 1}_{key}": float(rng.uniform(-size, size))
-        for i in range(len(arm.links))
-        for key, size in sizes.items()
-    }
+    values = {f"link{i + 1}_{key}": float(rng.uniform(-size, size)) for i in range(len(arm.links)) for key, size in sizes.items()}
     return EffectEntry("link_geometry", 0, values)
 
 

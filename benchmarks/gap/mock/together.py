@@ -79,12 +79,8 @@ def judged(arm_name: str, seed: int) -> tuple[str, dict[str, Counter[str]]]:
             f"{way}: {' '.join(sorted(map(str, names_of(found)))) or '-'}{f' sets {sets}' if sets else ''}"
             f"{' unknown' if found.unknown else ''} {found.gap_before:.2f} -> {found.gap_after:.2f}"
         )
-    hid = " ".join(
-        f"{one.effect}{one.joint or ''} {next(iter(one.parameters.values())):.3g}" for one in hidden
-    )
-    return f"{seed} hides {hid}\n    " + "\n    ".join(
-        parts
-    ) + f"\n    {time.process_time() - began:.0f} s", count
+    hid = " ".join(f"{one.effect}{one.joint or ''} {next(iter(one.parameters.values())):.3g}" for one in hidden)
+    return f"{seed} hides {hid}\n    " + "\n    ".join(parts) + f"\n    {time.process_time() - began:.0f} s", count
 
 
 def counted(truth: Collection[EffectName], named: set[EffectName], found: GapFinding) -> Counter[str]:
@@ -101,9 +97,7 @@ def counted(truth: Collection[EffectName], named: set[EffectName], found: GapFin
 
 def main() -> None:
     """Print a paragraph an arm and the sums."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arm", default="right", help="arm.toml, or an arm that ships")
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=8000)

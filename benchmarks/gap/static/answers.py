@@ -16,10 +16,18 @@ from calib.gap.poses.find import find
 FIRST_SEED = 3000
 SORTS = ("nothing", "one", "two", "left out", "foreign")
 PARAMETER = {  # of the hidden value
-    "backlash": "width_rad", "joint_compliance": "stiffness_Nm_rad", "encoder_scale": "scale",
-    "encoder_eccentricity": "amplitude_rad", "belt_coupling": "ratio", "thermal_drift": "final_rad", "link_flexure": "EI_Nm2",
-    "base_frame": "x_m", "payload": "mass_kg", "torque_constant": "scale", "link_inertia": "mass_kg",
-}  # fmt: skip
+    "backlash": "width_rad",
+    "joint_compliance": "stiffness_Nm_rad",
+    "encoder_scale": "scale",
+    "encoder_eccentricity": "amplitude_rad",
+    "belt_coupling": "ratio",
+    "thermal_drift": "final_rad",
+    "link_flexure": "EI_Nm2",
+    "base_frame": "x_m",
+    "payload": "mass_kg",
+    "torque_constant": "scale",
+    "link_inertia": "mass_kg",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +44,7 @@ class StaticAsked:
 
 def plan(count: int, first_seed: int = FIRST_SEED) -> list[StaticAsked]:
     """`count` cases of each sort; every seed once."""
-    return [
-        StaticAsked(sort, first_seed + 1000 * k + i) for i in range(count) for k, sort in enumerate(SORTS)
-    ]
+    return [StaticAsked(sort, first_seed + 1000 * k + i) for i in range(count) for k, sort in enumerate(SORTS)]
 
 
 def asked(case: StaticAsked) -> list[Answer]:

@@ -11,17 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.calibration.chains import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
 from benchmarks.gap.static import physics
-from benchmarks.gap.static.physics import (
-    Hidden,
-    Poses,
-    Rig,
-    bent,
-    camera_m,
-    frames_of,
-    gravity_torques,
-    known_wrong,
-    shifted_m,
-)
+from benchmarks.gap.static.physics import Hidden, Poses, Rig, bent, camera_m, frames_of, gravity_torques, known_wrong, shifted_m
 from calib.arrays import Array
 from calib.points.points import Points, make_points
 from control.model.arm import Arm, Camera, Drive, Link
@@ -58,13 +48,23 @@ class Design:
 
 def _six() -> Arm:
     """Six joints in modified DH, about the size of a Panda, with masses and drives."""
-    rows = [(0.333, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -PI / 2), (0.316, 0.0, 0.0, PI / 2), (0.0, 0.0, 0.0825, PI / 2),
-            (0.384, 0.0, -0.0825, -PI / 2), (0.1, 0.0, 0.088, PI / 2)]  # fmt: skip
+    rows = [
+        (0.333, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, -PI / 2),
+        (0.316, 0.0, 0.0, PI / 2),
+        (0.0, 0.0, 0.0825, PI / 2),
+        (0.384, 0.0, -0.0825, -PI / 2),
+        (0.1, 0.0, 0.088, PI / 2),
+    ]
     masses = (4.0, 3.0, 2.5, 2.0, 1.2, 0.6)
     centres = (
-        (0.0, 0.02, -0.05), (0.0, -0.05, 0.02), (0.03, 0.02, -0.06),
-        (-0.04, 0.06, 0.02), (0.0, 0.03, -0.1), (0.02, 0.0, -0.02),
-    )  # fmt: skip
+        (0.0, 0.02, -0.05),
+        (0.0, -0.05, 0.02),
+        (0.03, 0.02, -0.06),
+        (-0.04, 0.06, 0.02),
+        (0.0, 0.03, -0.1),
+        (0.02, 0.0, -0.02),
+    )
     links = tuple(
         Link("revolute", *row, mass_kg=m, com_m=c, inertia_kg_m2=(0.01, 0.01, 0.01))
         for row, m, c in zip(rows, masses, centres, strict=True)
@@ -92,10 +92,8 @@ RIGS = {
         np.array([1.5, 1.2, 1.2, -0.4, 1.5, 2.6]),
         np.array([1.5, 1.5, 1.0, 1.0, 0.5, 0.4]),
     ),
-    "planar": Rig(
-        _planar(), ChainModel((True, True)), np.array([-1.5, -2.0]), np.array([1.5, 2.0]), np.array([0.6, 0.4])
-    ),
-}  # fmt: skip
+    "planar": Rig(_planar(), ChainModel((True, True)), np.array([-1.5, -2.0]), np.array([1.5, 2.0]), np.array([0.6, 0.4])),
+}
 
 
 @cache
@@ -142,12 +140,7 @@ def visited(rig: Rig, setup: str, q: np.ndarray, design: Design) -> list[Row]:
 
 
 def _measured(
-    rng: np.random.Generator,
-    rig: Rig,
-    true_dh: np.ndarray,
-    rows: list[Row],
-    hidden: tuple[Hidden, ...],
-    design: Design,
+    rng: np.random.Generator, rig: Rig, true_dh: np.ndarray, rows: list[Row], hidden: tuple[Hidden, ...], design: Design
 ) -> Points:
     m, n = len(rows), len(rig.lower)
     joint_rad = np.array([row[3] for row in rows]) + rng.normal(0.0, 1e-3, (m, n))
@@ -157,9 +150,7 @@ def _measured(
     gravity = gravity_torques(rig, true_dh, joint_rad, stated + loads, masses)
     held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, (m, n))
     transmitted = gravity + LINK_SHARE * (held - gravity)
-    poses = Poses(
-        joint_rad, last, stated + loads, t_s, gravity, transmitted, tuple(row[0] for row in rows), rng
-    )
+    poses = Poses(joint_rad, last, stated + loads, t_s, gravity, transmitted, tuple(row[0] for row in rows), rng)
     encoder = joint_rad - sum(physics.ahead_rad(one, poses, rig) for one in hidden)
     tip = rig.chain.tips(true_dh, joint_rad)
     tip = tip + sum(shifted_m(one, poses, rig, true_dh, tip) for one in hidden)
@@ -173,11 +164,17 @@ def _measured(
         seen = orientations(own, rig, true_dh, poses, hidden, design.turn_noise_rad)
     current = held / per_A + rng.normal(0.0, NOISE_A, held.shape)
     return make_points(
-        poses.setup, [row[1] for row in rows], [row[2] for row in rows], encoder, tip,
-        last if design.has_directions else None, current if design.has_currents else None,
-        t_s if design.has_time else None, stated if design.has_payload else None,
+        poses.setup,
+        [row[1] for row in rows],
+        [row[2] for row in rows],
+        encoder,
+        tip,
+        last if design.has_directions else None,
+        current if design.has_currents else None,
+        t_s if design.has_time else None,
+        stated if design.has_payload else None,
         orientation=seen,
-    )  # fmt: skip
+    )
 
 
 def gravity_Nm(q: np.ndarray, payload_kg: float) -> np.ndarray:
@@ -190,12 +187,7 @@ def gravity_Nm(q: np.ndarray, payload_kg: float) -> np.ndarray:
 
 
 def orientations(
-    rng: np.random.Generator,
-    rig: Rig,
-    dh: np.ndarray,
-    at: Poses,
-    hidden: tuple[Hidden, ...],
-    noise_rad: float,
+    rng: np.random.Generator, rig: Rig, dh: np.ndarray, at: Poses, hidden: tuple[Hidden, ...], noise_rad: float
 ) -> np.ndarray:
     """Quaternions w, x, y, z of the target, (m, 4), in the frame of the camera."""
     frames = frames_of(rig, dh, at.q)
@@ -224,15 +216,27 @@ def _turned_rad(one: Hidden, at: Poses, rig: Rig, frames: list[np.ndarray]) -> n
 # Random hidden effects and random designs, for the score and the tests.
 
 SIZES = {  # smallest and largest, drawn evenly in the logarithm
-    "backlash": (0.002, 0.015), "joint_compliance": (300.0, 1500.0), "encoder_scale": (0.002, 0.015),
-    "encoder_eccentricity": (0.002, 0.010), "belt_coupling": (0.004, 0.02), "thermal_drift": (0.002, 0.008),
-    "link_flexure": (60.0, 600.0), "base_frame": (0.002, 0.006), "payload": (0.1, 0.5), "torque_constant": (0.08, 0.25),
+    "backlash": (0.002, 0.015),
+    "joint_compliance": (300.0, 1500.0),
+    "encoder_scale": (0.002, 0.015),
+    "encoder_eccentricity": (0.002, 0.010),
+    "belt_coupling": (0.004, 0.02),
+    "thermal_drift": (0.002, 0.008),
+    "link_flexure": (60.0, 600.0),
+    "base_frame": (0.002, 0.006),
+    "payload": (0.1, 0.5),
+    "torque_constant": (0.08, 0.25),
     "link_inertia": (0.15, 0.6),
-}  # fmt: skip
+}
 JOINTS: dict[str, tuple[int | None, ...]] = {
-    "joint_compliance": (2, 3), "belt_coupling": (None,), "link_flexure": (2, 3), "base_frame": (None,), "payload": (None,),
-    "torque_constant": (2, 3), "link_inertia": (2, 3),
-}  # fmt: skip
+    "joint_compliance": (2, 3),
+    "belt_coupling": (None,),
+    "link_flexure": (2, 3),
+    "base_frame": (None,),
+    "payload": (None,),
+    "torque_constant": (2, 3),
+    "link_inertia": (2, 3),
+}
 ON_TIP = tuple(SIZES)[:8]
 FOREIGN: dict[str, tuple[tuple[int | None, ...], float, float, float, float]] = {  # joints, sizes, more
     "slip": ((1, 2, 3), 0.002, 0.01, 0.3, 0.7),
@@ -248,13 +252,7 @@ FOREIGN: dict[str, tuple[tuple[int | None, ...], float, float, float, float]] = 
     "asymmetric compliance": ((2, 3), 0.0007, 0.003, 0.0, 1.0),
     "lost counts": ((1, 2, 3), 0.0001, 0.0005, 0.0, 1.0),
     "wobble": ((1, 2, 3), 0.001, 0.006, -3.0, 3.0),
-    "loose tool": (
-        (None,),
-        0.0004,
-        0.002,
-        0.6,
-        2.4,
-    ),  # across the forearm it is equivalent to backlash of joint 3
+    "loose tool": ((None,), 0.0004, 0.002, 0.6, 2.4),  # across the forearm it is equivalent to backlash of joint 3
     "camera scale": ((None,), 0.001, 0.01, 0.0, 1.0),
     "camera lens": ((None,), 0.001, 0.01, 0.0, 1.0),
     "camera skew": ((None,), 0.002, 0.01, 0.0, 1.0),

@@ -49,15 +49,20 @@ FIRST_SEED = 230_000
 UNKNOWN_TOOL_m = (0.03, -0.02, 0.06)
 MORE_RIGS = {
     "five": Rig(
-        replace(FIVE, table=None), ChainModel((True,) * 5), np.array([-1.5, 0.2, -2.0, -2.0, -2.0]),
-        np.array([1.5, 2.2, 0.5, 0.5, 2.0]), np.array([0.9, 0.9, 0.7, 0.3, 0.2]),
+        replace(FIVE, table=None),
+        ChainModel((True,) * 5),
+        np.array([-1.5, 0.2, -2.0, -2.0, -2.0]),
+        np.array([1.5, 2.2, 0.5, 0.5, 2.0]),
+        np.array([0.9, 0.9, 0.7, 0.3, 0.2]),
     ),
     "other six": Rig(
-        replace(SIX, table=None), ChainModel((True,) * 6, modified=True, tool_m=SIX.tool.position_m),
-        np.array([-1.5, 0.0, -1.5, -2.0, -1.5, -2.0]), np.array([1.5, 2.2, 1.0, 2.0, 1.5, 2.0]),
+        replace(SIX, table=None),
+        ChainModel((True,) * 6, modified=True, tool_m=SIX.tool.position_m),
+        np.array([-1.5, 0.0, -1.5, -2.0, -1.5, -2.0]),
+        np.array([1.5, 2.2, 1.0, 2.0, 1.5, 2.0]),
         np.array([0.9, 0.9, 0.7, 0.4, 0.3, 0.2]),
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -72,16 +77,12 @@ class Set:
 
 def main() -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=0)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--data", type=Path, nargs="*", default=[])
     given = parser.parse_args()
-    say(
-        f"{'':32} {'given':>8} {'calibr.':>8} {'with all':>8} {'file':>8} {'said':>8}  file/best said/file   s"
-    )
+    say(f"{'':32} {'given':>8} {'calibr.':>8} {'with all':>8} {'file':>8} {'said':>8}  file/best said/file   s")
     ratios = [_row(one) for one in (*simulated(given.first_seed, given.cases), *recorded(given.data))]
     say(f"file at most 1.02 of the best: {sum(ratio <= 1.02 for ratio in ratios)} of {len(ratios)}")
 
@@ -95,21 +96,13 @@ def simulated(first: int, count: int) -> Iterator[Set]:
         rig = rigs[kind]
         if number % 4 == 3 and kind != "reference":  # the tool is somewhere else than its file says
             chain = replace(rig.chain, tool_m=tuple(np.add(rig.chain.tool_m, UNKNOWN_TOOL_m)))
-            rig = replace(
-                rig, chain=chain, arm=replace(rig.arm, tool=Tool(rig.arm.tool.position_m, known=False))
-            )
+            rig = replace(rig, chain=chain, arm=replace(rig.arm, tool=Tool(rig.arm.tool.position_m, known=False)))
         joints = len(rig.lower)
-        among = tuple(
-            one
-            for one in ON_TIP
-            if joints > 2 or one not in ("belt_coupling", "link_flexure", "joint_compliance")
-        )
+        among = tuple(one for one in ON_TIP if joints > 2 or one not in ("belt_coupling", "link_flexure", "joint_compliance"))
         hidden = tuple(one for one in several(rng, 1 + number % 4, among) if (one.joint or 1) <= joints)
         cases.RIGS["drawn"] = rig
         with Rough(seed, 0.10):
-            arm, points = designed(
-                seed, hidden, Design(rig="drawn" if kind != "reference" else kind, free=60)
-            )
+            arm, points = designed(seed, hidden, Design(rig="drawn" if kind != "reference" else kind, free=60))
         if kind != "reference" and number % 3:
             points = _from_afar(rng, points)
         label = f"{kind} {seed}{', tool' if not arm.tool.known else ''}{', afar' if number % 3 and kind != 'reference' else ''}"
@@ -140,15 +133,8 @@ def recorded(folders: list[Path]) -> Iterator[Set]:
             points, _ = base_points_for(arm, [path], "gap")
             truth, known = path.parent / "truth.json", set(PARAMETER)
             told = json.loads(truth.read_text())["effects"] if truth.exists() else []
-            hidden = tuple(
-                Effect(e["effect"], e["joint"], e["parameters"]) for e in told if e["effect"] in known
-            )
-            yield Set(
-                f"{path.parent.name} {path.name.split('.')[0].removeprefix('points')}".strip(),
-                arm,
-                points,
-                hidden,
-            )
+            hidden = tuple(Effect(e["effect"], e["joint"], e["parameters"]) for e in told if e["effect"] in known)
+            yield Set(f"{path.parent.name} {path.name.split('.')[0].removeprefix('points')}".strip(), arm, points, hidden)
 
 
 def _row(one: Set) -> float:
@@ -197,9 +183,7 @@ def _calibrated(one: Set, points: Points, with_truth: bool) -> Arm:
 def _left_m(arm: Arm, points: Points, known: Mask, report: Mask) -> float:
     """Root mean square distance on the poses that report; what no file says is placed by those that are known."""
     tips = predicted_tips(arm, points)
-    is_tied = any(e.effect == "base_frame" for e in arm.effects) or (
-        arm.table is not None and arm.table.known_pose
-    )
+    is_tied = any(e.effect == "base_frame" for e in arm.effects) or (arm.table is not None and arm.table.known_pose)
     was = measuring_frame(arm, points).to_base(points.tip_m)
     measured = np.isfinite(points.tip_m).all(axis=1)
     if not is_tied and measured.any():

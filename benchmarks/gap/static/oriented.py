@@ -23,9 +23,13 @@ FIRST_SEED = 31_000
 DESIGN = Design(rig="six", free=36)
 TURN_NOISE_rad = (2e-4, 2e-3)  # of a laser tracker's target, and of a camera's
 WRIST: dict[str, tuple[int, ...]] = {
-    "backlash": (4, 5), "joint_compliance": (4, 5), "encoder_scale": (4, 5, 6), "encoder_eccentricity": (4, 5, 6),
-    "thermal_drift": (4, 5, 6), "link_flexure": (3, 5),
-}  # fmt: skip
+    "backlash": (4, 5),
+    "joint_compliance": (4, 5),
+    "encoder_scale": (4, 5, 6),
+    "encoder_eccentricity": (4, 5, 6),
+    "thermal_drift": (4, 5, 6),
+    "link_flexure": (3, 5),
+}
 
 
 def drawn_wrist(rng: np.random.Generator) -> Hidden:
@@ -33,9 +37,7 @@ def drawn_wrist(rng: np.random.Generator) -> Hidden:
     effect = str(rng.choice(list(WRIST)))
     low, high = SIZES[effect]
     more = rng.uniform(-3.1, 3.1) if effect == "encoder_eccentricity" else rng.uniform(400.0, 2400.0)
-    return Hidden(
-        effect, int(rng.choice(WRIST[effect])), float(np.exp(rng.uniform(np.log(low), np.log(high)))), more
-    )
+    return Hidden(effect, int(rng.choice(WRIST[effect])), float(np.exp(rng.uniform(np.log(low), np.log(high)))), more)
 
 
 def seen(seed: int, hidden: tuple[Hidden, ...], turn_noise_rad: float) -> str:
@@ -61,11 +63,7 @@ def main() -> None:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         rng = np.random.default_rng(seed)
         hidden, noise = drawn_wrist(rng), float(np.exp(rng.uniform(*np.log(TURN_NOISE_rad))))
-        answers = [
-            seen(seed, (hidden,), 0.0),
-            seen(seed, (hidden,), noise),
-            seen(seed + 500, (), noise),
-        ]
+        answers = [seen(seed, (hidden,), 0.0), seen(seed, (hidden,), noise), seen(seed + 500, (), noise)]
         for sort, answer in zip(("by position", "with orientation", "nulls"), answers, strict=True):
             tally.setdefault(sort, Counter())[answer] += 1
         sys.stdout.write(f"{seed} {hidden} ({1e3 * noise:.2f} mrad): {', '.join(answers)}\n")

@@ -93,9 +93,7 @@ def weights(
     yield len(rig.arm.links) + 1, payload, tip
 
 
-def gravity_torques(
-    rig: Rig, dh: np.ndarray, q: np.ndarray, payload: np.ndarray, masses: dict[int, float]
-) -> np.ndarray:
+def gravity_torques(rig: Rig, dh: np.ndarray, q: np.ndarray, payload: np.ndarray, masses: dict[int, float]) -> np.ndarray:
     """Holding torques (m, n): the slope of the potential energy by each angle (complex step)."""
     down = np.asarray(rig.arm.gravity_m_s2)
     torques = np.empty(q.shape)
@@ -145,7 +143,7 @@ JOINT_LAWS: dict[str, Callable[[Hidden, Poses, int], np.ndarray]] = {
     "softening": lambda o, p, j: -o.value * p.gravity[:, j] * np.abs(p.gravity[:, j]) / np.abs(p.gravity[:, j]).max(),
     "asymmetric compliance": lambda o, p, j: -o.value * np.where(p.gravity[:, j] > 0.0, 1.0, 0.25) * p.gravity[:, j],
     "lost counts": lambda o, p, j: o.value * np.cumsum(np.abs(np.diff(p.q[:, j], prepend=p.q[0, j]))),
-}  # fmt: skip
+}
 
 
 def shifted_m(one: Hidden, at: Poses, rig: Rig, dh: np.ndarray, tip: np.ndarray) -> np.ndarray:
@@ -165,9 +163,7 @@ def shifted_m(one: Hidden, at: Poses, rig: Rig, dh: np.ndarray, tip: np.ndarray)
     return np.zeros_like(tip)
 
 
-def _bent(
-    one: Hidden, at: Poses, rig: Rig, frames: list[np.ndarray], tip: np.ndarray, down: np.ndarray
-) -> np.ndarray:
+def _bent(one: Hidden, at: Poses, rig: Rig, frames: list[np.ndarray], tip: np.ndarray, down: np.ndarray) -> np.ndarray:
     """How a bent link moves the tip, (m, 3)."""
     return bent(one, at, rig, frames, tip, down)[0]
 

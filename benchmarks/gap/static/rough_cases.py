@@ -19,10 +19,18 @@ from control.model.arm import Arm, Effect
 
 LEAST, MOST = 0.04, 0.12  # of the law
 PARAMETER = {
-    "backlash": "width_rad", "joint_compliance": "stiffness_Nm_rad", "encoder_scale": "scale",
-    "encoder_eccentricity": "amplitude_rad", "belt_coupling": "ratio", "thermal_drift": "final_rad", "link_flexure": "EI_Nm2",
-    "base_frame": "x_m", "payload": "mass_kg", "torque_constant": "scale", "link_inertia": "mass_kg",
-}  # fmt: skip
+    "backlash": "width_rad",
+    "joint_compliance": "stiffness_Nm_rad",
+    "encoder_scale": "scale",
+    "encoder_eccentricity": "amplitude_rad",
+    "belt_coupling": "ratio",
+    "thermal_drift": "final_rad",
+    "link_flexure": "EI_Nm2",
+    "base_frame": "x_m",
+    "payload": "mass_kg",
+    "torque_constant": "scale",
+    "link_inertia": "mass_kg",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,9 +75,7 @@ class Rough:
 
         def wave(o: Hidden, p: Poses, j: int) -> np.ndarray:
             q = p.q[:, j]
-            more = self.share() * np.sin(2 * q + rng.uniform(-3, 3)) + 0.5 * self.share() * np.sin(
-                3 * q + rng.uniform(-3, 3)
-            )
+            more = self.share() * np.sin(2 * q + rng.uniform(-3, 3)) + 0.5 * self.share() * np.sin(3 * q + rng.uniform(-3, 3))
             return np.asarray(o.value * (np.sin(q + o.more) + more))
 
         def drift(o: Hidden, p: Poses, j: int) -> np.ndarray:
@@ -77,8 +83,13 @@ class Rough:
             slow = 1.0 - np.exp(-p.t_s / (o.more * times))
             return np.asarray(o.value * ((1.0 - share) * (1.0 - np.exp(-p.t_s / o.more)) + share * slow))
 
-        laws |= {"backlash": play, "joint_compliance": gear, "encoder_scale": scale, "encoder_eccentricity": wave,
-                 "thermal_drift": drift}  # fmt: skip
+        laws |= {
+            "backlash": play,
+            "joint_compliance": gear,
+            "encoder_scale": scale,
+            "encoder_eccentricity": wave,
+            "thermal_drift": drift,
+        }
         static_physics.ahead_rad = self._ahead_rad
         static_physics._bent = self._tapered_m
         return self
@@ -88,9 +99,7 @@ class Rough:
         if one.effect != "belt_coupling":
             return self.originals[1](one, at, rig)
         found, q = np.zeros_like(at.q), at.q[:, 1]
-        found[:, 2] = one.value * (
-            q + self.share() * 1.4 * np.std(q) * np.sin(2.0 * q + self.rng.uniform(-3, 3))
-        )
+        found[:, 2] = one.value * (q + self.share() * 1.4 * np.std(q) * np.sin(2.0 * q + self.rng.uniform(-3, 3)))
         return found
 
     def _tapered_m(self, one: Hidden, at: Any, rig: Any, frames: Any, tip: Any, down: Any) -> Any:
@@ -125,8 +134,16 @@ def known_half(one: Any, share: float) -> Effect:
 
 
 KNOWABLE = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling")
-ON_TIP = ("backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "thermal_drift",
-          "link_flexure", "base_frame")  # fmt: skip
+ON_TIP = (
+    "backlash",
+    "joint_compliance",
+    "encoder_scale",
+    "encoder_eccentricity",
+    "belt_coupling",
+    "thermal_drift",
+    "link_flexure",
+    "base_frame",
+)
 
 
 def _made(seed: int, hidden: tuple[Any, ...], design: Any) -> Case:
@@ -148,11 +165,7 @@ def case(sort: str, seed: int) -> Case:
     if sort == "known":
         hidden = (drawn(rng, KNOWABLE),)
         arm, points = designed(seed, hidden, Design())
-        return Case(
-            dataclasses.replace(arm, effects=(known_half(hidden[0], float(rng.uniform(0.3, 0.8))),)),
-            points,
-            hidden,
-        )
+        return Case(dataclasses.replace(arm, effects=(known_half(hidden[0], float(rng.uniform(0.3, 0.8))),)), points, hidden)
     hidden = (drawn(rng),) if sort == "rough" else several(rng, int(rng.integers(3, 7)), ON_TIP)
     with Rough(seed, 0.08 if sort == "rough" else 0.10):
         return _made(seed, hidden, Design())

@@ -57,13 +57,7 @@ def _score(sort: str, first: int, cases: int) -> None:
 
 
 def _judge(
-    one: Case,
-    found: GapFinding,
-    tally: Counter[str],
-    errors: list[float],
-    sds: list[float],
-    gaps: list[float],
-    label: str,
+    one: Case, found: GapFinding, tally: Counter[str], errors: list[float], sds: list[float], gaps: list[float], label: str
 ) -> None:
     wanted = {EffectName(h.effect, h.joint): h for h in one.hidden} if one.is_listed else {}
     got = {e.name: e for e in found.effects if e.name.effect != "link_geometry"}

@@ -60,10 +60,13 @@ def score_named(first: int, cases: int) -> None:
         could = {one.name: one.is_nameable for one in found.finding.nameable}.get(wanted, False)
         matrix[_short(wanted), _answer(found)] += 1
         tally.update(
-            nameable=could, right=wanted in got, exact=got == [wanted],
-            right_nameable=could and wanted in got, exact_nameable=could and got == [wanted],
+            nameable=could,
+            right=wanted in got,
+            exact=got == [wanted],
+            right_nameable=could and wanted in got,
+            exact_nameable=could and got == [wanted],
             in_set=wanted not in got and any(wanted in one for one in found.finding.ambiguous),
-        )  # fmt: skip
+        )
         slowest = max(slowest, took_s)
         if got == [wanted]:
             parameters = found.finding.effects[-1].parameters
@@ -94,9 +97,13 @@ def score_several(first: int, cases: int, count: int) -> None:
         could = {one.name for one in found.finding.nameable if one.is_nameable}
         reported = got | {name for names_ in found.finding.ambiguous for name in names_}
         tally.update(
-            exact=got == wanted, no_wrong=got <= wanted, some=bool(got & wanted), honest=wanted <= reported,
-            nameable=wanted <= could, exact_nameable=wanted <= could and got == wanted,
-        )  # fmt: skip
+            exact=got == wanted,
+            no_wrong=got <= wanted,
+            some=bool(got & wanted),
+            honest=wanted <= reported,
+            nameable=wanted <= could,
+            exact_nameable=wanted <= could and got == wanted,
+        )
         if got != wanted:
             _miss(seed, hidden, found)
     say(
@@ -107,9 +114,7 @@ def score_several(first: int, cases: int, count: int) -> None:
 
 def score_unlisted(first: int, cases: int) -> None:
     """The hidden effect is left out of the list."""
-    _score_open(
-        "open set, left out", first + 5000, cases, lambda rng: (h := drawn(rng), (h.effect,), Design())
-    )
+    _score_open("open set, left out", first + 5000, cases, lambda rng: (h := drawn(rng), (h.effect,), Design()))
 
 
 def score_foreign(first: int, cases: int) -> None:

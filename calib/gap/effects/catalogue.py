@@ -11,16 +11,7 @@ import numpy as np
 from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array
 from calib.gap.effects import encoder, gear, links, loads, motor
-from calib.gap.effects.record import (
-    EffectRecord,
-    InPoses,
-    InSeries,
-    PoseScene,
-    Role,
-    Sought,
-    known_law,
-    unlisted,
-)
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Role, Sought, known_law, unlisted
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, Key, Term, parameters_of
@@ -30,8 +21,7 @@ from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
 RECORDS: Final[dict[str, EffectRecord]] = {
-    one.effect: one
-    for one in (*encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS)
+    one.effect: one for one in (*encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS)
 }
 
 
@@ -100,9 +90,7 @@ def other_forms(law: Law) -> tuple[Law, ...]:
     """The law with the same values in the other forms that act alike: arm.toml does not say in which of them a part keeps it."""
     series = series_of(law.name.effect)
     forms = () if series is None else series.forms
-    return tuple(
-        replace(law, form=form) for form in forms if form is not law.form and form.acts == law.form.acts
-    )
+    return tuple(replace(law, form=form) for form in forms if form is not law.form and form.acts == law.form.acts)
 
 
 def parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
@@ -137,9 +125,7 @@ def series_terms(
             continue
         is_listed = names is None or key.effect in names or key.effect not in EFFECTS
         own = key if is_listed else Block(key.joint or 0, key.effect)
-        is_other = (is_gear(key.effect) and key.joint in geared) or (
-            comes_round(key.effect) and key.joint in misread
-        )
+        is_other = (is_gear(key.effect) and key.joint in geared) or (comes_round(key.effect) and key.joint in misread)
         if before and key not in around.found and not is_other:
             yield from (one for one in before if one.key == own)
         elif record.series is not None:
@@ -164,17 +150,12 @@ def _listed(scene: SeriesScene) -> Iterator[tuple[EffectRecord, EffectName]]:
         "motor": recording.has_current or recording.has_voltage,
         "angle": True,
         "tip": recording.has_tip,
-        "electrical": recording.has_current
-        and recording.has_voltage,  # of voltages alone, all that is slow looks late
+        "electrical": recording.has_current and recording.has_voltage,  # of voltages alone, all that is slow looks late
     }
     shown = [one for one in RECORDS.values() if one.series is not None and has[one.series.needs]]
     of_joints = [one for one in shown if _is_of_joints(one)]
     for joint in range(1, scene.arm.joint_count + 1):
-        yield from (
-            (one, EffectName(one.effect, joint))
-            for one in of_joints
-            if scene.arm.is_behind_encoder(one.effect, joint)
-        )
+        yield from ((one, EffectName(one.effect, joint)) for one in of_joints if scene.arm.is_behind_encoder(one.effect, joint))
     for one in shown:
         if one not in of_joints and one.series is not None:
             yield from ((one, EffectName(one.effect, place)) for place in one.series.places(scene.arm))

@@ -124,9 +124,18 @@ def _warmed(values: Values, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
 
 def _form(name: str, where: Literal["behind", "seen"]) -> Form:
     return Form(
-        name, "angle", 3e-4, count=2, counted=1, steps=(1e-4, 5e-2), lower=(-np.inf, QUICKEST_s), upper=(np.inf, 1e5),
-        angle=_warmed, where=where, is_by_time=True,
-    )  # fmt: skip
+        name,
+        "angle",
+        3e-4,
+        count=2,
+        counted=1,
+        steps=(1e-4, 5e-2),
+        lower=(-np.inf, QUICKEST_s),
+        upper=(np.inf, 1e5),
+        angle=_warmed,
+        where=where,
+        is_by_time=True,
+    )
 
 
 def _known(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law | None:
@@ -142,39 +151,68 @@ def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
 
 RECORDS = (
     EffectRecord(
-        "encoder_scale", role="angle", traits=Traits(blocks="q{j}"),
+        "encoder_scale",
+        role="angle",
+        traits=Traits(blocks="q{j}"),
         poses=InPoses(0.005, _scale, "poses over the whole travel of that joint", variable="q{j}"),
         series=InSeries(
-            forms_of("encoder_scale", 5e-4, _in_proportion), straight, "tip", departs=(by_angle,), variable="angle",
-            blocks=("tip angle", "tip ripple"), over="angle",
+            forms_of("encoder_scale", 5e-4, _in_proportion),
+            straight,
+            "tip",
+            departs=(by_angle,),
+            variable="angle",
+            blocks=("tip angle", "tip ripple"),
+            over="angle",
         ),
     ),
     EffectRecord(
-        "encoder_eccentricity", role="angle", traits=Traits(blocks="q{j}"),
+        "encoder_eccentricity",
+        role="angle",
+        traits=Traits(blocks="q{j}"),
         poses=InPoses(0.003, _eccentricity, "poses over more than 120 degrees of that joint", variable="q{j}"),
         series=InSeries(
-            forms_of("encoder_eccentricity", 3e-4, _once_a_turn, 2), straight, "tip", departs=(by_angle,), variable="angle",
-            blocks=("tip angle", "tip ripple"), over="angle",
+            forms_of("encoder_eccentricity", 3e-4, _once_a_turn, 2),
+            straight,
+            "tip",
+            departs=(by_angle,),
+            variable="angle",
+            blocks=("tip angle", "tip ripple"),
+            over="angle",
         ),
     ),
     EffectRecord(
-        "belt_coupling", role="angle", traits=Traits(blocks="other angles"),
+        "belt_coupling",
+        role="angle",
+        traits=Traits(blocks="other angles"),
         poses=InPoses(
             0.01, _coupling, f"poses in which joint {COUPLED_TO} moves while joint {COUPLED} stands", variable=f"q{COUPLED_TO}"
         ),
         series=InSeries(
-            forms_of("belt_coupling", 5e-4, _in_proportion), straight, "tip", departs=(by_angle,),
-            variable=f"angle of joint {COUPLED_TO}", blocks=(f"tip angle of joint {COUPLED_TO}",), over="angle", places=_belts,
+            forms_of("belt_coupling", 5e-4, _in_proportion),
+            straight,
+            "tip",
+            departs=(by_angle,),
+            variable=f"angle of joint {COUPLED_TO}",
+            blocks=(f"tip angle of joint {COUPLED_TO}",),
+            over="angle",
+            places=_belts,
         ),
     ),
     EffectRecord(
-        "thermal_drift", role="angle", traits=Traits(blocks="time"),
+        "thermal_drift",
+        role="angle",
+        traits=Traits(blocks="time"),
         poses=InPoses(
             0.003, _in_poses, "the same reference pose every few minutes, the others in shuffled order", variable="time"
         ),
         series=InSeries(
-            (_form("thermal_drift", "behind"), _form("thermal_drift seen", "seen")), _in_series, "tip", blocks=("tip time",),
-            over="time", known=_known, parameters=_parameters,
+            (_form("thermal_drift", "behind"), _form("thermal_drift seen", "seen")),
+            _in_series,
+            "tip",
+            blocks=("tip time",),
+            over="time",
+            known=_known,
+            parameters=_parameters,
         ),
     ),
-)  # fmt: skip
+)

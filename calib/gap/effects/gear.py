@@ -25,13 +25,7 @@ from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import CLEAR_SHARE, WOUND_SHARE
 from calib.gap.posterior.term import Term, Traits, like, parameters_of, smooth
 from calib.gap.signals.terms import Form, Law
-from control.dynamics.static_pose import (
-    CURRENT_NOISE_A,
-    GRAVITY_ERROR,
-    RestingPose,
-    gravity_Nm,
-    known_torque_per_A,
-)
+from control.dynamics.static_pose import CURRENT_NOISE_A, GRAVITY_ERROR, RestingPose, gravity_Nm, known_torque_per_A
 from control.model.arm import Arm
 from control.model.effects import backlash_rad, compliance_rad
 
@@ -46,9 +40,7 @@ def _play(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     if scene.pose is None:
         return
     q = scene.points.q_rad
-    is_measured = np.isfinite(scene.points.current_A).any(
-        axis=0
-    )  # what nobody measured has no noise, and needs no constants
+    is_measured = np.isfinite(scene.points.current_A).any(axis=0)  # what nobody measured has no noise, and needs no constants
     noise = np.where(is_measured, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(scene.arm)), 0.0)
     for j in _joints_behind(record, scene):
         load = np.abs(scene.pose.gravity_Nm[:, j])
@@ -80,9 +72,7 @@ def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float,
             sd = np.maximum(0.5 * GRAVITY_ERROR * np.abs(gravity) + turned + doubt, NO_TORQUE_Nm)
             flank = np.where(np.abs(torque) > NO_TORQUE_Nm, erf(torque / (np.sqrt(2.0) * sd)), 0.0)
             flank = np.where(is_led, pose.flank[:, j], flank)
-            if np.mean(flank**2) >= CLEAR_SHARE and not any(
-                np.abs(flank - other).max() < 0.2 for other in distinct
-            ):
+            if np.mean(flank**2) >= CLEAR_SHARE and not any(np.abs(flank - other).max() < 0.2 for other in distinct):
                 distinct.append(flank)
                 yield share, flank, 1.0 - flank**2
 
@@ -146,12 +136,16 @@ BACKLASH = Bent(WIDTHS_rad, (0.0,), (0.5,), (1.0,))
 GEAR_BLOCKS = ("load", "speed", "acceleration", "turned", "sensor")
 # compliance, damping, and the share of friction behind the gear; width and that share
 SPRING = Form(
-    "joint_compliance", "spring", 1e-4, count=3, counted=1, steps=(1e-5, 2e-2, 5e-2), lower=(1e-6, 0.0, 0.0),
+    "joint_compliance",
+    "spring",
+    1e-4,
+    count=3,
+    counted=1,
+    steps=(1e-5, 2e-2, 5e-2),
+    lower=(1e-6, 0.0, 0.0),
     upper=(0.05, 20.0, 1.0),
-)  # fmt: skip
-LOOSE = Form(
-    "backlash", "play", 5e-4, count=2, counted=1, steps=(5e-5, 5e-2), lower=(0.0, 0.0), upper=(0.2, 1.0)
 )
+LOOSE = Form("backlash", "play", 5e-4, count=2, counted=1, steps=(5e-5, 5e-2), lower=(0.0, 0.0), upper=(0.2, 1.0))
 
 
 def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
@@ -166,25 +160,41 @@ def _spring_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
 
 RECORDS = (
     EffectRecord(
-        "backlash", role="angle", traits=Traits("direction", is_on_every_joint=True),
+        "backlash",
+        role="angle",
+        traits=Traits("direction", is_on_every_joint=True),
         poses=InPoses(
-            0.005, _play, "the same poses from both approaches, some where gravity on that joint changes its sign",
-            variable="q{j} and load", is_positive=True,
+            0.005,
+            _play,
+            "the same poses from both approaches, some where gravity on that joint changes its sign",
+            variable="q{j} and load",
+            is_positive=True,
         ),
         series=InSeries(
-            (LOOSE,), lambda sought: secants(sought, BACKLASH), "angle",
-            departs=(by_angle,), variable="angle", blocks=("tip direction", *GEAR_BLOCKS)
+            (LOOSE,),
+            lambda sought: secants(sought, BACKLASH),
+            "angle",
+            departs=(by_angle,),
+            variable="angle",
+            blocks=("tip direction", *GEAR_BLOCKS),
         ),
     ),
     EffectRecord(
-        "joint_compliance", role="angle", traits=Traits("load", is_on_every_joint=True),
+        "joint_compliance",
+        role="angle",
+        traits=Traits("load", is_on_every_joint=True),
         poses=InPoses(
             1.0 / 800.0, _compliance, "the same poses with and without a known payload", variable="load", is_positive=True
         ),
         series=InSeries(
-            (SPRING,), lambda sought: secants(sought, COMPLIANCE), "angle",
-            departs=(by_load,), variable="load", blocks=("tip load", *GEAR_BLOCKS),
-            known=_known_spring, parameters=_spring_parameters,
+            (SPRING,),
+            lambda sought: secants(sought, COMPLIANCE),
+            "angle",
+            departs=(by_load,),
+            variable="load",
+            blocks=("tip load", *GEAR_BLOCKS),
+            known=_known_spring,
+            parameters=_spring_parameters,
         ),
     ),
-)  # fmt: skip
+)

@@ -35,9 +35,11 @@ def _flexure(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
         bare = _both(bending(arm, frames, nothing, link))
         payload = _both(bending(arm, frames, hung, link)) - bare
         alone = dataclasses.replace(
-            arm, links=tuple(dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0)
-                             for k, one in enumerate(arm.links, start=1)),
-        )  # fmt: skip
+            arm,
+            links=tuple(
+                dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0) for k, one in enumerate(arm.links, start=1)
+            ),
+        )
         own = _both(bending(alone, frames, nothing, link)) if alone.links[link - 1].mass_kg else 0.0 * bare
         for variant, weight in enumerate((own, _both(_spread(arm, frames, link))) if own.any() else (own,)):
             parts = [weight, bare - own, payload]
@@ -47,10 +49,19 @@ def _flexure(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
             departs = [part for part in parts if np.ptp(part, axis=0).max() > 0.0]
             columns = size * np.array([total, *departs])
             yield Term(
-                EffectName(record.effect, link), "", 1, len(departs), size, slope_m=columns[..., :3], turn_rad=columns[..., 3:],
-                variant=float(variant), is_positive=True, parameters=parameters_of(record.effect), variable="load",
+                EffectName(record.effect, link),
+                "",
+                1,
+                len(departs),
+                size,
+                slope_m=columns[..., :3],
+                turn_rad=columns[..., 3:],
+                variant=float(variant),
+                is_positive=True,
+                parameters=parameters_of(record.effect),
+                variable="load",
                 traits=record.traits,
-            )  # fmt: skip
+            )
 
 
 def _both(bent: Bending) -> Array:
@@ -61,17 +72,13 @@ def _both(bent: Bending) -> Array:
 def _spread(arm: Arm, frames: LinkFrames, link: int) -> Bending:
     """What happens per 1 / EI when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
     before = 0 if arm.dh_convention == "modified" else 1
-    following = next(
-        (k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None
-    )
+    following = next((k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None)
     begin = frames.origin_m[:, link - before]
     end = frames.tip_m if following is None else frames.origin_m[:, following - before]
     length = np.linalg.norm(end - begin, axis=1, keepdims=True)
     along = (end - begin) / length
     mass = sum(
-        one.mass_kg or 0.0
-        for k, one in enumerate(arm.links, start=1)
-        if k >= link and (following is None or k < following)
+        one.mass_kg or 0.0 for k, one in enumerate(arm.links, start=1) if k >= link and (following is None or k < following)
     )
     force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
     across = force - np.sum(force * along, axis=1, keepdims=True) * along
@@ -106,9 +113,16 @@ def _frame(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
         turns += [np.zeros(place.shape), np.broadcast_to(-TURN_rad * unit, place.shape)]
         sizes += [SHIFT_m, TURN_rad]
     yield Term(
-        EffectName(record.effect), "", len(sizes), 0, 1.0, slope_m=np.stack(columns), turn_rad=np.stack(turns),
-        parameters=sized(np.array(sizes), _of_axes(arm)), traits=record.traits,
-    )  # fmt: skip
+        EffectName(record.effect),
+        "",
+        len(sizes),
+        0,
+        1.0,
+        slope_m=np.stack(columns),
+        turn_rad=np.stack(turns),
+        parameters=sized(np.array(sizes), _of_axes(arm)),
+        traits=record.traits,
+    )
 
 
 def _of_axes(arm: Arm) -> ToParameters:
@@ -120,11 +134,7 @@ def _total(arm: Arm, moved: Array, sd: Array) -> Parameters:
     """The frame of the arm's file, moved by (6,), with standard deviations (6,)."""
     known, rotation = base_frame_of(arm), rotation_of(moved[3:])
     total = (*(rotation @ known.origin_m + moved[:3]), *rotation_vector(rotation @ known.rotation))
-    return {
-        name: (float(v), float(s))
-        for name, v, s in zip(BASE_FRAME, total, sd, strict=True)
-        if abs(v) > ROUNDING or s > 0.0
-    }
+    return {name: (float(v), float(s)) for name, v, s in zip(BASE_FRAME, total, sd, strict=True) if abs(v) > ROUNDING or s > 0.0}
 
 
 def _moved(value: Array) -> Array:
@@ -157,10 +167,9 @@ def _geometry(arm: Arm, law: Law, covariance: Array) -> Parameters:
 
 RECORDS = (
     EffectRecord(
-        "link_flexure", role="angle",
-        poses=InPoses(
-            1.0 / 400.0, _flexure, "markers at both ends of that link, with and without a known payload"
-        ),
+        "link_flexure",
+        role="angle",
+        poses=InPoses(1.0 / 400.0, _flexure, "markers at both ends of that link, with and without a known payload"),
         series=InSeries((FORM,), straight, "tip", places=_links, least=lambda arm, law: 0.0),
     ),
     EffectRecord(
@@ -168,10 +177,5 @@ RECORDS = (
         poses=InPoses(1.0, _frame, "markers on the arm's base, or the board seated anew", is_total=False),
         series=InSeries((Form(FRAME, "frame", 3e-4, count=6),), straight, "tip", parameters=_in_series),
     ),
-    EffectRecord(
-        GEOMETRY,
-        series=InSeries(
-            (Form(GEOMETRY, "geometry", 3e-4, count=0),), straight, "tip", parameters=_geometry
-        ),
-    ),
-)  # fmt: skip
+    EffectRecord(GEOMETRY, series=InSeries((Form(GEOMETRY, "geometry", 3e-4, count=0),), straight, "tip", parameters=_geometry)),
+)

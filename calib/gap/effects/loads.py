@@ -46,9 +46,16 @@ def _constants(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
             departures = like(own, [own * np.abs(own)])
             columns = on_joint(size * np.array([own, *departures]), j, gravity.shape[1])
             yield Term(
-                EffectName(record.effect, j + 1), "", 1, len(departures), size, slope_Nm=columns,
-                parameters=inverse("scale", beyond=1.0), variable="load", traits=record.traits,
-            )  # fmt: skip
+                EffectName(record.effect, j + 1),
+                "",
+                1,
+                len(departures),
+                size,
+                slope_Nm=columns,
+                parameters=inverse("scale", beyond=1.0),
+                variable="load",
+                traits=record.traits,
+            )
 
 
 def _payload(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
@@ -93,9 +100,16 @@ def _mass(record: EffectRecord, link: int | None, torque_Nm: Array) -> Term:
     """torque_Nm (m, n) per kilogram."""
     size = in_poses(record).size
     return Term(
-        EffectName(record.effect, link), "", 1, 0, size, slope_Nm=size * torque_Nm[None], parameters=_number("mass_kg"),
-        variable="load", traits=record.traits,
-    )  # fmt: skip
+        EffectName(record.effect, link),
+        "",
+        1,
+        0,
+        size,
+        slope_Nm=size * torque_Nm[None],
+        parameters=_number("mass_kg"),
+        variable="load",
+        traits=record.traits,
+    )
 
 
 def _number(key: str) -> ToParameters:
@@ -125,7 +139,10 @@ RECORDS = (
         "link_inertia",
         poses=InPoses(0.2, _masses, BOTH_DIRECTIONS, is_load=True),
         series=InSeries(
-            (MASS, INERTIA), straight, "motor", least=_least,
+            (MASS, INERTIA),
+            straight,
+            "motor",
+            least=_least,
             places=lambda arm: [k for k, one in enumerate(arm.links, 1) if one.mass_kg is not None and one.com_m is not None],
             known=lambda series, name, given: next(
                 Law(name, form, (given[form.name],)) for form in series.forms if form.name in given
@@ -134,11 +151,12 @@ RECORDS = (
         ),
     ),
     EffectRecord(
-        "torque_constant", role="torque", needs_drives=True,
+        "torque_constant",
+        role="torque",
+        needs_drives=True,
         poses=InPoses(0.1, _constants, BOTH_DIRECTIONS, is_load=True),
         series=InSeries(
-            (CONSTANT,), straight, "motor", departs=(by_current, by_angle), variable="current", blocks=("sensor",),
-            over="current",
+            (CONSTANT,), straight, "motor", departs=(by_current, by_angle), variable="current", blocks=("sensor",), over="current"
         ),
     ),
-)  # fmt: skip
+)

@@ -64,9 +64,13 @@ def friction(sought: Sought) -> Iterator[SeriesTerm]:
         one.form.shared and one.name.joint == sought.key.joint for one in around.known
     )
     term = SeriesTerm(
-        sought.key, size=size, law=lambda c: law.at((float(c[0]) * size,)), is_positive=form.lower == NOUGHT or is_common,
-        now=None if own is None else np.array(own.values[:1]) / size, is_common=is_common,
-    )  # fmt: skip
+        sought.key,
+        size=size,
+        law=lambda c: law.at((float(c[0]) * size,)),
+        is_positive=form.lower == NOUGHT or is_common,
+        now=None if own is None else np.array(own.values[:1]) / size,
+        is_common=is_common,
+    )
     yield from filled(sought, term, scaled(rubbed(around, law), size))
 
 
@@ -74,10 +78,7 @@ def _stribeck(sought: Sought) -> Iterator[SeriesTerm]:
     own, size = sought.own, sought.size(sought.series.form)
     for form in sought.forms:
         for speed in STRIBECK_rad_s if own is None else (own.values[1],):
-            here, there = (
-                rubbed(sought.around, Law(sought.key, form, (1.0, own_speed)))
-                for own_speed in (speed, 1.1 * speed)
-            )
+            here, there = (rubbed(sought.around, Law(sought.key, form, (1.0, own_speed))) for own_speed in (speed, 1.1 * speed))
             slope = {cell: 2.0 * (there[cell] - here[cell]) * size for cell in here if cell in there}
             yield from with_own(sought, form, speed, 0.2, (scaled(here, size), slope))
 
@@ -89,21 +90,23 @@ def _known_stribeck(series: InSeries, name: EffectName, given: Mapping[str, floa
 def _fall(name: str, torque: Callable[[Values, float], Torque]) -> Form:
     """A form of Stribeck friction: torque and speed."""
     return Form(
-        name, "motor", 0.08, count=2, counted=1, is_torque=True, steps=(1e-2, 2e-3), lower=(0.0, SLOWEST_STRIBECK_rad_s),
-        upper=(np.inf, FASTEST_STRIBECK_rad_s), torque=torque,
-    )  # fmt: skip
+        name,
+        "motor",
+        0.08,
+        count=2,
+        counted=1,
+        is_torque=True,
+        steps=(1e-2, 2e-3),
+        lower=(0.0, SLOWEST_STRIBECK_rad_s),
+        upper=(np.inf, FASTEST_STRIBECK_rad_s),
+        torque=torque,
+    )
 
 
-COULOMB = Form(
-    "coulomb_friction", "motor", 0.03, is_torque=True, torque=torque_of("coulomb_friction"), shared="coulomb"
-)
-VISCOUS = Form(
-    "viscous_friction", "motor", 0.03, is_torque=True, torque=torque_of("viscous_friction"), shared="viscous"
-)
+COULOMB = Form("coulomb_friction", "motor", 0.03, is_torque=True, torque=torque_of("coulomb_friction"), shared="coulomb")
+VISCOUS = Form("viscous_friction", "motor", 0.03, is_torque=True, torque=torque_of("viscous_friction"), shared="viscous")
 LOAD = Form("load_friction", "motor", 0.02, lower=NOUGHT, torque=torque_of("load_friction"))
-ASYMMETRIC = Form(
-    "asymmetric_friction", "motor", 0.03, is_torque=True, torque=torque_of("asymmetric_friction")
-)
+ASYMMETRIC = Form("asymmetric_friction", "motor", 0.03, is_torque=True, torque=torque_of("asymmetric_friction"))
 STRIBECK = _fall("stribeck_friction", torque_of("stribeck_friction"))
 
 
@@ -165,13 +168,7 @@ def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
 
 
 FORM = Form(
-    "cogging",
-    "motor",
-    0.05,
-    count=2,
-    is_torque=True,
-    torque=torque_of("cogging"),
-    is_of_motor=EFFECTS["cogging"].is_of_motor,
+    "cogging", "motor", 0.05, count=2, is_torque=True, torque=torque_of("cogging"), is_of_motor=EFFECTS["cogging"].is_of_motor
 )
 
 
@@ -199,67 +196,104 @@ def _by_sum(voltage: Array, current: Array, supply: Array) -> Array:
 
 RECORDS = (
     EffectRecord(
-        "coulomb_friction", role="torque",
+        "coulomb_friction",
+        role="torque",
         # it departs with the angle: with speed it is viscous friction, with direction asymmetric
         series=InSeries(
-            (COULOMB,), friction, "motor", usual=20.0, departs=(by_angle,), variable="angle", over="speed",
-            blocks=("friction angle", "turned"), is_common=True,
+            (COULOMB,),
+            friction,
+            "motor",
+            usual=20.0,
+            departs=(by_angle,),
+            variable="angle",
+            over="speed",
+            blocks=("friction angle", "turned"),
+            is_common=True,
         ),
     ),
     EffectRecord(
-        "viscous_friction", role="torque",
+        "viscous_friction",
+        role="torque",
         series=InSeries(
-            (VISCOUS,), friction, "motor", usual=20.0, departs=(by_speed, by_angle, by_direction), variable="speed",
-            over="speed", blocks=("speed",), is_common=True,
+            (VISCOUS,),
+            friction,
+            "motor",
+            usual=20.0,
+            departs=(by_speed, by_angle, by_direction),
+            variable="speed",
+            over="speed",
+            blocks=("speed",),
+            is_common=True,
         ),
     ),
     EffectRecord(
-        "load_friction", role="torque",
+        "load_friction",
+        role="torque",
         series=InSeries((LOAD,), friction, "motor", departs=(by_load, by_angle), variable="load", blocks=("load",)),
     ),
     EffectRecord(
-        "asymmetric_friction", role="torque",
+        "asymmetric_friction",
+        role="torque",
         series=InSeries(
-            (ASYMMETRIC,), friction, "motor", departs=(by_angle, by_speed), variable="angle", over="speed",
+            (ASYMMETRIC,),
+            friction,
+            "motor",
+            departs=(by_angle, by_speed),
+            variable="angle",
+            over="speed",
             blocks=("friction angle",),
         ),
     ),
     EffectRecord(
-        "stribeck_friction", role="torque",
+        "stribeck_friction",
+        role="torque",
         series=InSeries(
-            (STRIBECK, _fall("stribeck exponential", _exponential)), _stribeck, "motor", departs=(by_speed, by_angle),
-            variable="speed", over="speed", blocks=("slow", "speed"), known=_known_stribeck,
+            (STRIBECK, _fall("stribeck exponential", _exponential)),
+            _stribeck,
+            "motor",
+            departs=(by_speed, by_angle),
+            variable="speed",
+            over="speed",
+            blocks=("slow", "speed"),
+            known=_known_stribeck,
         ),
     ),
     EffectRecord(
-        "cogging", role="torque", needs_drives=True,
-        series=InSeries(
-            (FORM,), _cogging, "motor", departs=(by_angle,), variable="angle", over="motor", parameters=_parameters
-        ),
+        "cogging",
+        role="torque",
+        needs_drives=True,
+        series=InSeries((FORM,), _cogging, "motor", departs=(by_angle,), variable="angle", over="motor", parameters=_parameters),
     ),
     EffectRecord(
-        SAMPLING, traits=LATE,
-        series=InSeries(
-            (Form(SAMPLING, "sampling", 5e-5, steps=(2e-5,), lower=(0.0,), upper=(LATEST_s,)),), _sampling, "motor"
-        ),
+        SAMPLING,
+        traits=LATE,
+        series=InSeries((Form(SAMPLING, "sampling", 5e-5, steps=(2e-5,), lower=(0.0,), upper=(LATEST_s,)),), _sampling, "motor"),
     ),
     EffectRecord(
-        "command_delay", traits=LATE, needs_drives=True,
+        "command_delay",
+        traits=LATE,
+        needs_drives=True,
         series=InSeries(
             (Form("command_delay", "delay", 2e-4, steps=(2e-5,), lower=(0.0,), upper=(math.inf,)),),
-            lambda sought: secants(sought, Bent(DELAYS_s)), "electrical",
+            lambda sought: secants(sought, Bent(DELAYS_s)),
+            "electrical",
             over="current",
         ),
     ),
     EffectRecord(
-        "supply_sag", needs_drives=True,
+        "supply_sag",
+        needs_drives=True,
         series=InSeries(
             (
                 Form("supply_sag", "sag", 0.01, lower=(0.0,), drawn=_by_duty),
                 Form("supply_sag by sum", "sag", 0.01, lower=(0.0,), drawn=_by_sum),
             ),
-            straight, "electrical", departs=(by_currents,),
-            variable="current", over="current", least=lambda arm, law: 0.0,
+            straight,
+            "electrical",
+            departs=(by_currents,),
+            variable="current",
+            over="current",
+            least=lambda arm, law: 0.0,
         ),
     ),
-)  # fmt: skip
+)

@@ -134,25 +134,26 @@ class EffectRecord:
     needs_drives: bool = False  # no answer without the drives' electrical values
 
     def on_joint(
-        self,
-        scene: PoseScene,
-        joint: int | None,
-        law: Array,
-        departs: Sequence[Array] = (),
-        nuisances: Sequence[Array] = (),
+        self, scene: PoseScene, joint: int | None, law: Array, departs: Sequence[Array] = (), nuisances: Sequence[Array] = ()
     ) -> Term:
         """The term of poses on the joint that the effect moves, from courses (m,) per unit of the coefficient: of the law, (m,)
         or (l, m), of how parts depart from it, and of what comes along.
         """
         poses, moved = in_poses(self), moved_joint(self.effect, joint) or 1
         laws, name = np.atleast_2d(law), EffectName(self.effect, joint)
-        columns = poses.size * on_joint(
-            np.array([*laws, *departs, *nuisances]), moved - 1, scene.points.joint_count
-        )
+        columns = poses.size * on_joint(np.array([*laws, *departs, *nuisances]), moved - 1, scene.points.joint_count)
         return Term(
-            name, "", len(laws), len(departs), poses.size, slope_rad=columns, is_positive=poses.is_positive,
-            parameters=parameters_of(self.effect), variable=poses.variable.format(j=joint), traits=self.traits,
-        )  # fmt: skip
+            name,
+            "",
+            len(laws),
+            len(departs),
+            poses.size,
+            slope_rad=columns,
+            is_positive=poses.is_positive,
+            parameters=parameters_of(self.effect),
+            variable=poses.variable.format(j=joint),
+            traits=self.traits,
+        )
 
 
 def in_poses(record: EffectRecord) -> InPoses:
@@ -240,9 +241,7 @@ def by_currents(at: RowConditions, j: int) -> Array:
     return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
 
 
-def departures(
-    scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response
-) -> tuple[dict[int, Array], Array]:
+def departures(scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response) -> tuple[dict[int, Array], Array]:
     """Columns of a law's departures on a joint (0-based), each as large as the law; every channel for itself.
 
     With them what departures change that looks like the law itself, a part of each for every shape of a variable (`departed`), of
@@ -286,10 +285,17 @@ def filled(
     count, bends = (sum(next(iter(own.values())).shape[1] for own in some) for some in ([laws], departs))
     now = term.now if term.now is None else np.insert(term.now, count, np.zeros(bends))
     yield dataclasses.replace(
-        term, words=str(term.key), laws=count, departures=bends, variable=series.variable, traits=sought.record.traits,
-        response=stacked([laws, *departs, *nuisances]), alike=alike, now=now,
+        term,
+        words=str(term.key),
+        laws=count,
+        departures=bends,
+        variable=series.variable,
+        traits=sought.record.traits,
+        response=stacked([laws, *departs, *nuisances]),
+        alike=alike,
+        now=now,
         curve=None if towards is None else Curve(count + bends, *towards, term.size),
-    )  # fmt: skip
+    )
 
 
 def unlisted(one: SeriesTerm) -> SeriesTerm:
@@ -331,15 +337,16 @@ def _straight(sought: Sought, form: Form) -> Iterator[SeriesTerm]:
     else:
         steps = [0.3 * size] * count
         moved = [law.at((*law.values[:k], step, *law.values[k + 1 :])) for k, step in enumerate(steps)]
-    columns = [
-        (around.scene.columns.residual((*base, there)) - at) / step
-        for there, step in zip(moved, steps, strict=True)
-    ]
+    columns = [(around.scene.columns.residual((*base, there)) - at) / step for there, step in zip(moved, steps, strict=True)]
     least = sought.series.least(around.scene.arm, law)
     term = SeriesTerm(
-        key, size=size, law=lambda c: law.at(tuple((c[:count] * size).tolist())), is_positive=math.isfinite(least),
-        least=max(least, -1e6) / size, now=None if own is None else np.array(start) / size,
-    )  # fmt: skip
+        key,
+        size=size,
+        law=lambda c: law.at(tuple((c[:count] * size).tolist())),
+        is_positive=math.isfinite(least),
+        least=max(least, -1e6) / size,
+        now=None if own is None else np.array(start) / size,
+    )
     yield from filled(sought, term, scaled(around.scene.split(np.stack(columns, axis=1)), size))
 
 
@@ -376,8 +383,7 @@ def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
     first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
     others = bent.others if own is None else own.values[1:]
     steps = tuple(
-        step if value + step <= upper else -step
-        for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
+        step if value + step <= upper else -step for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
     )
     asked = [_stepped((v, *others), steps) for v in first]
     law, size = Law(sought.key, form, asked[0][0]), sought.size(form)
@@ -401,15 +407,19 @@ def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
         if own is not None and math.isclose(own.values[0], value):
             now = np.array([value / size, 0.0, *((np.array(others) - bent.others) / steps)])
         term = SeriesTerm(
-            sought.key, size=size, law=law_of, variant=value, is_positive=True, least=reach[0] / size, most=reach[1] / size,
+            sought.key,
+            size=size,
+            law=law_of,
+            variant=value,
+            is_positive=True,
+            least=reach[0] / size,
+            most=reach[1] / size,
             now=now,
-        )  # fmt: skip
+        )
         yield from filled(sought, term, parts[0], parts[1:], towards=(value, first[near]))
 
 
-def with_own(
-    sought: Sought, form: Form, value: float, within: float, columns: tuple[Response, Response]
-) -> Iterator[SeriesTerm]:
+def with_own(sought: Sought, form: Form, value: float, within: float, columns: tuple[Response, Response]) -> Iterator[SeriesTerm]:
     """A law of a size and one other value, from its response there and how that changes as this value grows by a share `within`.
 
     The share is followed between 0.6 and 1.6 of the value.

@@ -106,9 +106,7 @@ def over_turn(joint: int, travel_rad: float) -> tuple[Candidate, ...]:
     """Tables over a turn of the joint's motor, coarse to fine; none if it never went round (`travel_rad`, of the motor)."""
     if travel_rad < math.tau:
         return ()
-    return tuple(
-        Candidate(joint, "torque_Nm", "motor_turn_rad", count, 0.0, math.tau) for count in NODES_OF_TURN
-    )
+    return tuple(Candidate(joint, "torque_Nm", "motor_turn_rad", count, 0.0, math.tau) for count in NODES_OF_TURN)
 
 
 def _range(values: Array) -> tuple[float, float]:
@@ -164,9 +162,7 @@ class MapsFound:
 
     def __add__(self, other: MapsFound) -> MapsFound:
         """Both."""
-        return MapsFound(
-            self.drawn + other.drawn, self.checks + other.checks, self.sentences + other.sentences
-        )
+        return MapsFound(self.drawn + other.drawn, self.checks + other.checks, self.sentences + other.sentences)
 
 
 # Standard deviations by which the gain of all pieces, or the count of those that gain, has to stand out of nothing: of some sixty
@@ -214,11 +210,7 @@ def chosen(measured: MapRows) -> Chosen | None:
     folded = _Folded(measured)
     members: list[tuple[int, float]] = []
     while len(members) < TABLES_MOST and folded.is_possible:
-        tried = [
-            (folded.foretold([*members, (number, bend)]), number, bend)
-            for number in folded.free(members)
-            for bend in BENDS
-        ]
+        tried = [(folded.foretold([*members, (number, bend)]), number, bend) for number in folded.free(members) for bend in BENDS]
         if not tried:
             break
         _, number, bend = min(tried)
@@ -268,9 +260,7 @@ class _Folded:
         taken = {self.measured.candidates[number] for number, _ in members}
         places = {(one.joint, one.over, one.is_directed) for one in taken}
         return [
-            number
-            for number, one in enumerate(self.measured.candidates)
-            if (one.joint, one.over, one.is_directed) not in places
+            number for number, one in enumerate(self.measured.candidates) if (one.joint, one.over, one.is_directed) not in places
         ]
 
     def foretold(self, members: Sequence[tuple[int, float]]) -> float:
@@ -320,9 +310,7 @@ class _Folded:
         precision[:first, :first] = np.diag(self.measured.base_precision)
         for number, bend in members:
             count = self.measured.candidates[number].count
-            precision[first : first + count, first : first + count] = self.measured.candidates[
-                number
-            ].precision(bend)
+            precision[first : first + count, first : first + count] = self.measured.candidates[number].precision(bend)
             first += count
         return places, precision
 
@@ -349,17 +337,13 @@ def angle_maps(arm: Arm, gap: StaticGap) -> tuple[Arm, MapsFound]:
     """
     problem = problem_of(arm, gap.points)
     x = minimise(problem.of_rows(gap.split.known), LeastSquares(), 1).x
-    there = _Poses(
-        gap.points, load_of(arm, gap.points, problem.observed.q_rad), by_joints(Fit(problem, x, None))[0]
-    )
+    there = _Poses(gap.points, load_of(arm, gap.points, problem.observed.q_rad), by_joints(Fit(problem, x, None))[0])
     measured = _measured(problem, x, gap, there, {(one.joint, one.over) for one in arm.maps})
     found = chosen(measured)
     if found is None:
         return arm, MapsFound((), (), (NONE,))
     solution = problem.solution(x + found.base)
-    parts = [
-        (measured.candidates[k], USUAL_rad * own) for k, own in zip(found.numbers, found.values, strict=True)
-    ]
+    parts = [(measured.candidates[k], USUAL_rad * own) for k, own in zip(found.numbers, found.values, strict=True)]
     maps = maps_of(parts)
     before, after = (gap.floor.tip_m * rms(own[measured.reports]) for own in (found.before, found.after))
     drawn = tuple(there.drawn(one, gap.floor.tip_m * found.after.reshape(-1, 3)) for one in maps)
@@ -394,9 +378,7 @@ class _Poses:
         return DrawnMap(one, at, table + own, table)
 
 
-def _measured(
-    problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, taken: Set[tuple[int, str]]
-) -> MapRows:
+def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, taken: Set[tuple[int, str]]) -> MapRows:
     residual, jacobian = problem.residuals_and_jacobian(x)
     rows, noise = 3 * len(gap.points), gap.floor.tip_m
     candidates = tuple(one for one in _candidates(there) if (one.joint, one.over) not in taken)

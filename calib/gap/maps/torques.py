@@ -139,9 +139,7 @@ class Signals:
     def fast(self) -> Band:
         """Samples as the state filter leaves them; what is made of raw angles goes through it."""
         filters = self.outcome.physics.recording.filters
-        return Band.of(
-            self, filters.state[0], max(1, round(filters.rate_Hz / SAMPLES_PER_s)), is_filtered=False
-        )
+        return Band.of(self, filters.state[0], max(1, round(filters.rate_Hz / SAMPLES_PER_s)), is_filtered=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,9 +46,7 @@ def as_recorded(arm: Arm, visits: tuple[PlannedVisit, ...], duration_s: float) -
     direction = np.array([visit.direction for visit in visits], dtype=np.float64)
     payload = np.array([visit.payload_kg for visit in visits])
     noise = arm.camera.position_noise_m if arm.camera and arm.camera.position_noise_m > 0.0 else NOISE_m
-    tips = ForwardKinematics(arm).tips(q) + draw.normal(
-        0.0, noise / np.sqrt(AVERAGE_s * CAMERA_Hz), (len(q), 3)
-    )
+    tips = ForwardKinematics(arm).tips(q) + draw.normal(0.0, noise / np.sqrt(AVERAGE_s * CAMERA_Hz), (len(q), 3))
     try:
         per_A = torque_per_A(arm)
         limits_A = np.array([arm.drive(j + 1).current_limit_A for j in range(arm.joint_count)])
@@ -85,11 +83,7 @@ def of_boards(arm: Arm) -> tuple[str, ...]:
     without = [drive for drive in arm.drives if drive.pid.mode != "voltage"]
     if not without:
         return ()
-    which = (
-        "every joint"
-        if len(without) == len(arm.drives)
-        else f"joint {', '.join(str(d.joint) for d in without)}"
-    )
+    which = "every joint" if len(without) == len(arm.drives) else f"joint {', '.join(str(d.joint) for d in without)}"
     hidden = ", ".join(
         name.replace("_", " ")
         for name, record in RECORDS.items()
@@ -101,9 +95,7 @@ def of_boards(arm: Arm) -> tuple[str, ...]:
         if len(able) == len(without)
         else "its boards take no voltage, so measure these by hand; what currents, angles and tips show is recorded as ever"
     )
-    return (
-        f"The board of {which} sets the motor's voltage itself, so no motion can name {hidden}: {remedy}.",
-    )
+    return (f"The board of {which} sets the motor's voltage itself, so no motion can name {hidden}: {remedy}.",)
 
 
 def in_short(arm: Arm, plan: RecordingPlan) -> str:
@@ -128,19 +120,13 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     if could:
         yes = [str(one.name) for one in could if one.is_nameable]
         sentences.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
-        sentences += [
-            f"They could not name {one.name}: {_why(one, payload_kg)}."
-            for one in could
-            if not one.is_nameable
-        ]
+        sentences += [f"They could not name {one.name}: {_why(one, payload_kg)}." for one in could if not one.is_nameable]
     kinds = dict.fromkeys(run.kind for run in plan.runs)
     if kinds:
         sentences += of_boards(arm)
         sentences.append("The motions show " + "; ".join(f"{SEEN_BY[kind]} ({kind})" for kind in kinds) + ".")
         if not payload_kg:
-            sentences.append(
-                "Without --payload, load-dependent friction, torque constants and masses are hard to distinguish."
-            )
+            sentences.append("Without --payload, load-dependent friction, torque constants and masses are hard to distinguish.")
     return tuple(sentences)
 
 

@@ -185,12 +185,7 @@ class MotionLimits:
 
 
 def multisine(
-    room: CollisionFreeBox,
-    limits: MotionLimits,
-    band_Hz: tuple[float, float],
-    size: float,
-    duration_s: float,
-    seed: int,
+    room: CollisionFreeBox, limits: MotionLimits, band_Hz: tuple[float, float], size: float, duration_s: float, seed: int
 ) -> JointPath:
     """Sums of five sines within a band, other phases and frequencies for every joint; `size`: of what room and limits allow."""
     draw = np.random.default_rng((seed, round(100 * band_Hz[0])))
@@ -217,9 +212,7 @@ def _room_for(curve: Curve, j: int, half_rad: float, limits: JointLimits) -> flo
     )
 
 
-def shake(
-    room: CollisionFreeBox, limits: MotionLimits, band_Hz: tuple[float, float], duration_s: float, seed: int
-) -> JointPath:
+def shake(room: CollisionFreeBox, limits: MotionLimits, band_Hz: tuple[float, float], duration_s: float, seed: int) -> JointPath:
     """As fast as the limits on jerk and acceleration allow, past where the joints can be controlled; a few milliradians."""
     draw = np.random.default_rng((seed, 7))
     t = _times(duration_s)
@@ -234,11 +227,7 @@ def shake(
 
 
 def ramps(
-    room: CollisionFreeBox,
-    limits: MotionLimits,
-    shares: Sequence[float],
-    leg_s: float,
-    at: Sequence[float] = (),
+    room: CollisionFreeBox, limits: MotionLimits, shares: Sequence[float], leg_s: float, at: Sequence[float] = ()
 ) -> JointPath:
     """There and back at constant speeds, each for `leg_s`; every joint has them in another order.
 
@@ -269,11 +258,7 @@ def slowed(path: JointPath, limits: MotionLimits, used: float = USED) -> JointPa
         return path
     times = [factor * t for t in path.times_s]
     knots = [
-        SetPoint(
-            knot.q_rad,
-            tuple(v / factor for v in knot.speed_rad_s),
-            tuple(a / factor**2 for a in knot.acceleration_rad_s2),
-        )
+        SetPoint(knot.q_rad, tuple(v / factor for v in knot.speed_rad_s), tuple(a / factor**2 for a in knot.acceleration_rad_s2))
         for knot in path.knots
     ]
     return JointPath(times, knots)

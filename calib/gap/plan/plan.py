@@ -68,9 +68,7 @@ def static_poses(arm: Arm, room: CollisionFreeBox, extent: PlanExtent) -> tuple[
     """All poses; the approach to each stays inside the joints' ranges and clear."""
     inner = room.inset(APPROACH_rad)
     found = _alone(inner, extent.levels)
-    found += [
-        ("s", q) for q in spread_poses((inner.lower_rad, inner.upper_rad), extent.spread, edge_share=0.3)
-    ]
+    found += [("s", q) for q in spread_poses((inner.lower_rad, inner.upper_rad), extent.spread, edge_share=0.3)]
     found += [("g", q) for q in _pulled(arm, inner, extent.pulled)]
     numbered = [NamedPose(f"{kind}{k + 1}", _plain(q)) for k, (kind, q) in enumerate(found)]
     via = _plain(room.middle_rad)
@@ -290,9 +288,7 @@ def _blocks(poses: Sequence[NamedPose], draw: np.random.Generator) -> list[list[
     return [[block[k] for k in draw.permutation(len(block)).tolist()] for block in blocks]
 
 
-def _visits(
-    poses: Sequence[NamedPose], room: CollisionFreeBox, payload_kg: float, number: int
-) -> Iterator[PlannedVisit]:
+def _visits(poses: Sequence[NamedPose], room: CollisionFreeBox, payload_kg: float, number: int) -> Iterator[PlannedVisit]:
     """A block: every pose from two opposite sides, every other one from the other pair of sides; the reference in between.
 
     The reference comes from all four sides first. In which order is another in each block, so that each side is held out for
@@ -360,20 +356,12 @@ def _duration_s(arm: Arm, steps: Sequence[Step], speed: float) -> float:
     """What the arm needs, without hanging loads."""
     limits = JointLimits.of(arm)
     quick, gentle = limits.scaled(speed), limits.scaled(GENTLE * speed)
-    here = (
-        arm.rest.q_rad
-        if arm.rest is not None
-        else steps[0].q_rad
-        if isinstance(steps[0], PlannedVisit)
-        else None
-    )
+    here = arm.rest.q_rad if arm.rest is not None else steps[0].q_rad if isinstance(steps[0], PlannedVisit) else None
     total_s = 0.0
     for step in steps:
         if isinstance(step, PlannedRun):
             start = step.path.knots[0].q_rad
-            total_s += (
-                (JointMove(here, start, quick).duration_s if here else 0.0) + step.path.duration_s + SETTLE_s
-            )
+            total_s += (JointMove(here, start, quick).duration_s if here else 0.0) + step.path.duration_s + SETTLE_s
             here = step.path.knots[-1].q_rad
             continue
         stops = [step.via_rad, step.start_rad] if step.via_rad else [step.start_rad]
@@ -400,6 +388,4 @@ def _require_clear(arm: Arm, plan: RecordingPlan) -> None:
     lower, upper = np.array(arm.limits_rad).T
     is_inside = ((poses >= lower) & (poses <= upper)).all()
     if not is_inside or not clear(arm, poses).all():
-        raise CalibrationError(
-            "a planned pose leaves the joints' ranges or comes near the floor; nothing was moved"
-        )
+        raise CalibrationError("a planned pose leaves the joints' ranges or comes near the floor; nothing was moved")

@@ -45,11 +45,7 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
     """The finding of a decision, with what its report draws; `prepared`: as it was before the search, which has another noise."""
     looked = around.looked
     best, points, parts = decision.best, looked.points, looked.parts
-    warnings = [
-        *looked.warnings,
-        *about_orientations(points, looked.floor),
-        *about_outliers(points, looked.out),
-    ]
+    warnings = [*looked.warnings, *about_orientations(points, looked.floor), *about_outliers(points, looked.out)]
 
     def told(withdrawn: Collection[Key] = ()) -> Told:
         return Told.by(around.evidence, best, SHARED, looked.told, withdrawn)
@@ -64,9 +60,7 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(around, best, changed)
     beside = _open_members(around, decision)
-    decision, files, reasons = _files(
-        looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons
-    )
+    decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
     last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
     lefts = [one.fit.left() for one in files]
@@ -83,9 +77,7 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
     held = (*decision.names, *(name for name in beside if name.joint in corrected))
     departing = around.fitted(_named_alone(around, best, held))[1]
     finding = dataclasses.replace(
-        finding,
-        gap_explained=departing.times(floor.tip_m, floor.turn_rad, parts.report),
-        maps=_maps(last, parts.report),
+        finding, gap_explained=departing.times(floor.tip_m, floor.turn_rad, parts.report), maps=_maps(last, parts.report)
     )
     if (open_count := int(np.sum(parts.report & last.is_between_flanks(points)))) > 0:
         warnings.append(
@@ -96,10 +88,21 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
     steps = [*map(str, order), *map(str, last.arm.maps[:1])]
     grown = [(step, own.tip_m) for step, own in zip(steps, lefts[1:], strict=True)]
     return StaticGap(
-        looked.arm, last.arm, finding, points, parts, floor,
-        (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown), last.fit.problem, last.fit.x, tuple(warnings),
-        prepared, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m), told(reasons),
-    )  # fmt: skip
+        looked.arm,
+        last.arm,
+        finding,
+        points,
+        parts,
+        floor,
+        (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown),
+        last.fit.problem,
+        last.fit.x,
+        tuple(warnings),
+        prepared,
+        load_of(looked.arm, points),
+        drawn_laws(around, best, order, left.tip_m),
+        told(reasons),
+    )
 
 
 def _files(
@@ -120,15 +123,11 @@ def _files(
     if impossible:
         why = {name: f"{name} was identified with impossible values" for name in impossible}
         names = tuple(name for name in decision.names if name not in why)
-        decision = dataclasses.replace(
-            decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
-        )
+        decision = dataclasses.replace(decision, names=names, remainders=(*decision.remainders, *((name,) for name in why)))
         kept = {name: own for name, own in found.items() if name not in why}
         return _files(looked, decision, kept, beside, firmer, {**reasons, **why})
     if last.unshared is not None:
-        with_maps, without = (
-            _square(one.fit.left(), looked.floor, looked.parts.report) for one in (last, last.unshared)
-        )
+        with_maps, without = (_square(one.fit.left(), looked.floor, looked.parts.report) for one in (last, last.unshared))
         last = last if with_maps < without else last.unshared
     files = [
         File.of(arm, points, rows, {key: named[key] for key in keys[:count]}, {}, firmer, False)
@@ -153,9 +152,7 @@ def _open_members(around: Around, decision: Decision) -> dict[EffectName, Parame
     present = {around.terms[k].key for k, _ in best.members}
     for group in decision.ambiguous:
         some = sorted(group, key=lambda name: (name not in present, -decision.probability.get(name, 0.0)))
-        for name in [name for name in some if follows(name)][:1] or [
-            name for name in some if name in present
-        ]:
+        for name in [name for name in some if follows(name)][:1] or [name for name in some if name in present]:
             if name not in decision.names:
                 own = estimated(around.evidence, best, name).parameters if name in present else {}
                 found[name] = own if is_possible(name.effect, own) else {}
@@ -164,9 +161,7 @@ def _open_members(around: Around, decision: Decision) -> dict[EffectName, Parame
 
 def _named_alone(around: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:
     """The set without what has no name; its laws depart as they do."""
-    return dataclasses.replace(
-        best, members=tuple(one for one in best.members if around.terms[one[0]].key in names)
-    )
+    return dataclasses.replace(best, members=tuple(one for one in best.members if around.terms[one[0]].key in names))
 
 
 def _square(left: Left, floor: Floor, rows: Mask) -> float:
@@ -201,14 +196,22 @@ def _finding(
     could = nameable(around.evidence)
     has_free = "free" in looked.points.setup
     return GapFinding(
-        arm=looked.arm.name, data=("points.csv",), noise_floor=noise, gap_before=before, gap_after=after,
+        arm=looked.arm.name,
+        data=("points.csv",),
+        noise_floor=noise,
+        gap_before=before,
+        gap_after=after,
         before_si={channel: before_si[channel] for channel in noise},
-        after_si={channel: after_si[channel] for channel in noise}, effects=effects,
-        ambiguous=decision.ambiguous, unknown=unknown, nameable=could,
+        after_si={channel: after_si[channel] for channel in noise},
+        effects=effects,
+        ambiguous=decision.ambiguous,
+        unknown=unknown,
+        nameable=could,
         next_experiment=next_experiment(decision.ambiguous, unknown, could, has_free),
-        is_held_out=looked.parts.is_divided, remainder=remainder,
+        is_held_out=looked.parts.is_divided,
+        remainder=remainder,
         open_questions=open_questions(decision.ambiguous, remainder),
-    )  # fmt: skip
+    )
 
 
 def _borne_out(
@@ -297,16 +300,19 @@ def _ordered(around: Around, best: Weighed, names: Sequence[EffectName]) -> list
     return sorted(present, key=lambda name: -share_of(around.evidence, best, [numbers[name]]))
 
 
-def _named(
-    around: Around, decision: Decision, file: File, name: EffectName, found: Estimated, gap_after: float
-) -> NamedEffect:
+def _named(around: Around, decision: Decision, file: File, name: EffectName, found: Estimated, gap_after: float) -> NamedEffect:
     numbers = {around.terms[k].key: k for k, _ in decision.best.members}
     is_nothing = _is_nothing(found)  # without parameters: a stiffness is then anything from some size on
     return NamedEffect(
-        name, {} if is_nothing else file.parameters(name, found.parameters), gap_after,
-        probability=decision.probability[name], share=share_of(around.evidence, decision.best, [numbers[name]]),
-        departure=found.departure, variable=found.variable, is_nothing=is_nothing,
-    )  # fmt: skip
+        name,
+        {} if is_nothing else file.parameters(name, found.parameters),
+        gap_after,
+        probability=decision.probability[name],
+        share=share_of(around.evidence, decision.best, [numbers[name]]),
+        departure=found.departure,
+        variable=found.variable,
+        is_nothing=is_nothing,
+    )
 
 
 def _geometry(file: File) -> Parameters:

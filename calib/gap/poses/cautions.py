@@ -94,11 +94,7 @@ def _about_recordings(points: Points) -> Iterator[str]:
     if not parts.is_divided:
         yield f"{len(points)} poses are too few to hold some out: the gap is that of the fitted poses"
     elif parts.is_by_pose:
-        why = (
-            f"{RECORDINGS_LEAST} are needed to hold one out"
-            if count < RECORDINGS_LEAST
-            else "none can be held out as a whole"
-        )
+        why = f"{RECORDINGS_LEAST} are needed to hold one out" if count < RECORDINGS_LEAST else "none can be held out as a whole"
         yield (
             f"{count} recording{'s' if count > 1 else ''} (setup, payload, approach), and {why}: every {EVERY}th pose of each"
             " setup is held out, and errors that a setup's poses share are not checked"
@@ -158,9 +154,7 @@ def _about_loads(arm: Arm, points: Points) -> Iterator[str]:
             " are tried by gravity alone; what the motors hold, and with it payload, masses and torque constants, is not"
         )
     if not has_masses:
-        yield (
-            f"arm {arm.name} has no masses: backlash, compliance, flexure and loads are not tried, and would be unknown"
-        )
+        yield (f"arm {arm.name} has no masses: backlash, compliance, flexure and loads are not tried, and would be unknown")
     if np.nan_to_num(points.payload_kg).any() and not has_masses:
         yield "payload_kg is not used: without masses there is no torque for it to add to"
     if 0 < np.isfinite(points.payload_kg).sum() < len(points):
@@ -190,8 +184,7 @@ def about_outliers(points: Points, out: Mask) -> Iterator[str]:
     rows = np.flatnonzero(out)
     if len(rows):
         told = ", ".join(
-            f"{row + 1} ({points.setup[row]}, {points.point[row]}, line {points.lines[row]})"
-            for row in rows[:5].tolist()
+            f"{row + 1} ({points.setup[row]}, {points.point[row]}, line {points.lines[row]})" for row in rows[:5].tolist()
         )
         more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
         yield (

@@ -55,9 +55,7 @@ class Currents:
         return np.concatenate(found)
 
 
-def holding_currents(
-    fit: Fit, arm: Arm, points: Points, turn_rad: Array, terms: Sequence[Term]
-) -> Currents | None:
+def holding_currents(fit: Fit, arm: Arm, points: Points, turn_rad: Array, terms: Sequence[Term]) -> Currents | None:
     """None where the arm's file lacks masses, or the data currents.
 
     Around a fitted geometry x and joint angles q, the encoders' and what the effects found so far turn, `turn_rad` (m, n):
@@ -78,25 +76,16 @@ def holding_currents(
     torque = np.where(usable, points.current_A * per_A - gravity, 0.0)
     y = torque + np.einsum("kmn,k->mn", by_geometry, fit.x) + np.einsum("mni,mi->mn", by_joint, turn_rad)
     own = [np.zeros((one.count, *torque.shape)) if one.slope_Nm is None else one.slope_Nm for one in terms]
-    moved = [
-        0.0 if one.slope_rad is None else np.einsum("mni,cmi->cmn", by_joint, one.slope_rad) for one in terms
-    ]
+    moved = [0.0 if one.slope_rad is None else np.einsum("mni,cmi->cmn", by_joint, one.slope_rad) for one in terms]
     target = 0 if fit.target is None else 3
-    columns = np.concatenate(
-        [by_geometry, np.zeros((target, *torque.shape)), *map(np.add, own, moved), y[None]]
-    )
+    columns = np.concatenate([by_geometry, np.zeros((target, *torque.shape)), *map(np.add, own, moved), y[None]])
     unsure = _lever_errors_Nm(arm, points, gravity)
     friction = np.stack(
-        [
-            np.column_stack((_friction(points, gravity, torque, j), unsure[:, j]))
-            for j in range(points.joint_count)
-        ]
+        [np.column_stack((_friction(points, gravity, torque, j), unsure[:, j])) for j in range(points.joint_count)]
     )
     laws = [one.slope_Nm[: one.laws] for one in terms if one.is_name and one.slope_Nm is not None]
     acting = np.concatenate([by_geometry, *laws])
-    sd = np.array(
-        [_scatter(friction[j], acting[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
-    )
+    sd = np.array([_scatter(friction[j], acting[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))])
     return Currents(columns, usable, friction, CAUTION * sd)
 
 
@@ -115,9 +104,7 @@ def _by_geometry(fit: Fit, arm: Arm, points: Points, joint_rad: Array, gravity: 
 def _by_joint(arm: Arm, points: Points, joint_rad: Array, gravity: Array) -> Array:
     """How gravity's torques follow the joints' angles, (m, n, n) [N m/rad]."""
     ahead = STEP * np.eye(points.joint_count)
-    return np.stack(
-        [(gravity_Nm(arm, joint_rad + one, stated_kg(points)) - gravity) / STEP for one in ahead], axis=2
-    )
+    return np.stack([(gravity_Nm(arm, joint_rad + one, stated_kg(points)) - gravity) / STEP for one in ahead], axis=2)
 
 
 def _friction(points: Points, gravity: Array, torque: Array, j: int) -> Array:

@@ -75,24 +75,16 @@ class File:
         bare = dataclasses.replace(arm, effects=kept, maps=())
         freed = (BASE,) if EffectName(FRAME) in {**named, **beside} else ()
 
-        def identify(
-            begun: Arm, own: Mapping[EffectName, Parameters], is_free: bool
-        ) -> tuple[Identification, Arm]:
+        def identify(begun: Arm, own: Mapping[EffectName, Parameters], is_free: bool) -> tuple[Identification, Arm]:
             sought = [
-                name
-                for name in own
-                if is_free and (own[name] or name in beside) and name.effect in LAWS and name not in firmer
+                name for name in own if is_free and (own[name] or name in beside) and name.effect in LAWS and name not in firmer
             ]
             # what poses do not determine stays as the given arm has it, as `calibrate` leaves it
             stated = [name for name in own if own[name] and (name not in sought or name.effect == DRIFT)]
             begun = with_totals(begun, [effect_of(name, own[name]) for name in stated])
             keys = [name.effect if name.joint is None else f"{name.effect}:{name.joint}" for name in sought]
             choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
-            plan = (
-                CalibrationPlan(choice)
-                if is_last
-                else CalibrationPlan(choice, LeastSquares(), starts_count=1)
-            )
+            plan = CalibrationPlan(choice) if is_last else CalibrationPlan(choice, LeastSquares(), starts_count=1)
             _, found = identified(begun, points, plan, rows)
             return found, calibrated_arm(begun, found, points)
 
@@ -102,9 +94,7 @@ class File:
 
         def file(found: Identification, made: Arm, unshared: File | None = None) -> File:
             read = parse_arm(arm_text(made), Path(f"{arm.name}.toml"))
-            return cls(
-                dataclasses.replace(read, path=arm.path), found, sd, placed(read, points, rows), unshared
-            )
+            return cls(dataclasses.replace(read, path=arm.path), found, sd, placed(read, points, rows), unshared)
 
         if not beside:
             return file(found, made)
@@ -115,11 +105,7 @@ class File:
             return without
         rest = tuple(one for one in bare.effects if (one.effect, one.joint) not in maps)
         shared = dataclasses.replace(bare, effects=rest, maps=tuple(maps.values()))
-        others = tuple(
-            one
-            for one in made.effects
-            if one.effect == FRAME or EffectName(one.effect, one.joint) not in beside
-        )
+        others = tuple(one for one in made.effects if one.effect == FRAME or EffectName(one.effect, one.joint) not in beside)
         # what was identified beside the laws fits maps that do the same; begun anew, beside maps, it may end elsewhere
         as_laws = file(found, dataclasses.replace(made, effects=others, maps=shared.maps), without)
         anew = file(*identify(with_totals(shared, values), {}, False), without)
@@ -152,9 +138,7 @@ class File:
     def is_between_flanks(self, points: Points) -> Mask:
         """Poses (m,) of which nothing tells the flank of a loose gear: whoever reads the file takes its play's middle."""
         at = resting_points(self.arm, points)
-        unclear = [
-            at.flank(one.joint) == 0.0 for one in self.arm.effects if one.effect == "backlash" and one.joint
-        ]
+        unclear = [at.flank(one.joint) == 0.0 for one in self.arm.effects if one.effect == "backlash" and one.joint]
         return np.any(unclear, axis=0) if unclear else np.zeros(len(points), dtype=bool)
 
 
@@ -179,9 +163,7 @@ def _shared(
             bends = SMOOTH * np.diff(np.eye(NODES), 2, axis=0)
             whole = np.vstack((columns, bends)), np.concatenate((added, np.zeros(len(bends))))
             values = node_values(np.linalg.lstsq(*whole)[0], False)
-            found[one.effect, one.joint] = CorrectionMap(
-                one.joint, "angle_rad", over, tuple(values.tolist()), lower, upper
-            )
+            found[one.effect, one.joint] = CorrectionMap(one.joint, "angle_rad", over, tuple(values.tolist()), lower, upper)
     return found
 
 

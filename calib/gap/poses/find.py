@@ -146,9 +146,7 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
     """Look, linearise anew where the best set settles, with the noise that repeats then show, and look again until a set is the
     best at its own place, or was it before.
     """
-    forced = [
-        EffectName(one.effect, one.joint) for one in looked.arm.effects if are_total_in_poses(one.effect)
-    ]
+    forced = [EffectName(one.effect, one.joint) for one in looked.arm.effects if are_total_in_poses(one.effect)]
     blocks: tuple[Term, ...] = ()
 
     def settled(state: State, keys: Collection[Key]) -> State:

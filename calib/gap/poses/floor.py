@@ -22,9 +22,7 @@ from control.model.arm import Arm
 
 SAME_POSE_rad = 0.03
 QUARTILE = 1.212533  # of chi-square with three degrees of freedom
-QUARTILE_CHANCE = (
-    3.0 * 0.745
-)  # three standard deviations of its root, as a share, times the root of the count
+QUARTILE_CHANCE = 3.0 * 0.745  # three standard deviations of its root, as a share, times the root of the count
 FINEST_rad = 1e-7  # the same of orientations and angles
 FINEST_m = 1e-7  # repeats that are closer are copies of each other: no camera or tracker measures finer
 SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
@@ -63,9 +61,7 @@ def noise_floor(arm: Arm, points: Points, left: Left, out: Mask | None = None) -
     pairs = _pairs(points, out)
     tips, turn_rad = _of_tips(arm, points, left.tip_m, pairs), _of_turns(arm, points, left.turn_rad, pairs)
     of_counts = _of_counts(arm, points)
-    return replace(
-        tips, tip_m=math.hypot(tips.tip_m, of_counts.tip_m), turn_rad=math.hypot(turn_rad, of_counts.turn_rad)
-    )
+    return replace(tips, tip_m=math.hypot(tips.tip_m, of_counts.tip_m), turn_rad=math.hypot(turn_rad, of_counts.turn_rad))
 
 
 def _of_counts(arm: Arm, points: Points) -> Floor:
@@ -121,9 +117,7 @@ def _of_tips(arm: Arm, points: Points, residual_m: Array, pairs: Sequence[tuple[
             return Floor(sheet_m, "the camera's data sheet in arm.toml; there are too few repeats")
         return Floor(math.nan, "nothing: too few repeats, and no camera noise in arm.toml")
     if sheet_m > 0.0 and not points.direction.any():
-        return Floor(
-            sheet_m, "the camera's data sheet in arm.toml; repeats whose approach is unknown may hold play"
-        )
+        return Floor(sheet_m, "the camera's data sheet in arm.toml; repeats whose approach is unknown may hold play")
     apart = residual_m[[a for a, _ in pairs]] - residual_m[[b for _, b in pairs]]
     scatter_m = _scatter_m(apart)
     if scatter_m < FINEST_m:
@@ -141,10 +135,7 @@ def _is_same_pose(points: Points, a: int, b: int) -> bool:
 
 def _with_sheet(scatter_m: float, pairs_count: int, sheet_m: float) -> Floor:
     """The repeats' scatter; where the data sheet agrees with it, as well as so many pairs know it, both."""
-    said, doubt = (
-        f"{pairs_count} repeats",
-        1.0 / math.sqrt(6.0 * pairs_count),
-    )  # of a root of 3 squares a pair
+    said, doubt = (f"{pairs_count} repeats", 1.0 / math.sqrt(6.0 * pairs_count))  # of a root of 3 squares a pair
     if not abs(scatter_m - sheet_m) <= max(AGREE, CHECKED_sd * doubt) * sheet_m:
         return Floor(scatter_m, said, doubt)
     weight = pairs_count / (pairs_count + SHEET_WORTH)

@@ -56,9 +56,7 @@ def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]
     if len(folds) < 2 or not around.moves(best, [k for k, _ in own]):
         return True
     without = dataclasses.replace(best, members=tuple(one for one in best.members if one not in own))
-    return sum(_missed(around, best, *fold) for fold in folds) < sum(
-        _missed(around, without, *fold) for fold in folds
-    )
+    return sum(_missed(around, best, *fold) for fold in folds) < sum(_missed(around, without, *fold) for fold in folds)
 
 
 def _folds(around: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:

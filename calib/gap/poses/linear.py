@@ -73,9 +73,7 @@ class Fit:
         """An arm with this geometry and tool, on which the laws of effects act."""
         found = self.problem.solution(self.x)
         x, y, z = found.tool_m.tolist()
-        return dataclasses.replace(
-            arm.with_dh(found.dh), tool=dataclasses.replace(arm.tool, position_m=(x, y, z))
-        )
+        return dataclasses.replace(arm.with_dh(found.dh), tool=dataclasses.replace(arm.tool, position_m=(x, y, z)))
 
     def at(self, x: Array) -> Fit:
         """At unknowns (K,): those of this geometry, then a turn of the target from where it is."""
@@ -234,9 +232,7 @@ class Linear:
         `held` (r, K + p + 1): the holding currents' channel, geometry, columns and values in standard deviations. Both channels
         see one geometry: what the tips leave open of it is integrated out of the currents.
         """
-        base, columns, y = (
-            self.whitened(values, poses, noise_m) for values in (self.base, self.columns, self.y[:, None])
-        )
+        base, columns, y = (self.whitened(values, poses, noise_m) for values in (self.base, self.columns, self.y[:, None]))
         values = np.column_stack((columns, y))
         # the prior as rows of its own: what tips leave open, a factor 1e8 in size, is lost in normal equations
         q, r = np.linalg.qr(np.vstack((base, np.diag(np.sqrt(self.precision)))))
@@ -245,14 +241,7 @@ class Linear:
         seen = rest.T @ rest
         used = float(np.sum(q[: len(base)] ** 2))
         more = np.zeros_like(seen) if held is None else _beside(r.T @ r, fit, held)
-        return Gram(
-            seen[:-1, :-1],
-            seen[:-1, -1],
-            more[:-1, :-1],
-            more[:-1, -1],
-            float(seen[-1, -1]),
-            len(base) - used,
-        )
+        return Gram(seen[:-1, :-1], seen[:-1, -1], more[:-1, :-1], more[:-1, -1], float(seen[-1, -1]), len(base) - used)
 
     def geometry(self, poses: Mask, noise_m: float, total: Array) -> Array:
         """Unknowns (K,) of the geometry beside the terms' move `total` (3R,)."""

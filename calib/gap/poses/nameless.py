@@ -62,9 +62,7 @@ def _smooth(scene: PoseScene) -> Iterator[Term]:
     n, time = points.joint_count, points.t_s
     has_time = bool(np.isfinite(time).all() and np.ptp(time) > 1e-9)
     for j in range(n):
-        ways = [
-            (f"q{i + 1}" if i == j else "other angles", points.q_rad[:, i], f"q{i + 1}") for i in range(n)
-        ]
+        ways = [(f"q{i + 1}" if i == j else "other angles", points.q_rad[:, i], f"q{i + 1}") for i in range(n)]
         if load is not None:
             names = ["load" if i == j else "other loads" for i in range(n)]
             ways += [(names[i], load[:, i], f"the load of joint {i + 1}") for i in range(n)]
@@ -96,9 +94,7 @@ def _currents(scene: PoseScene) -> Iterator[Term]:
         size = SHARE * max(float(np.abs(load[:, j]).max()), 0.1)
         for name, angle in angles:
             columns = on_joint(size * np.array([np.sin(angle), np.cos(angle)]), j, n)
-            words = (
-                f"the holding current of joint {j + 1} follows {name} in a way that no single load explains"
-            )
+            words = f"the holding current of joint {j + 1} follows {name} in a way that no single load explains"
             yield Term(Block(j + 1, "current"), words, 2, slope_Nm=columns)
 
 
@@ -162,9 +158,7 @@ def _of_direction(points: Points, gravity: Array | None, held: Array | None, j: 
         words = f"follows the last direction of joint {i + 1}"
         yield of_joint(n, j, "direction", words, points.direction[:, i])
     own, variable = points.direction[:, j], "direction"
-    yield of_joint(
-        n, j, variable, "follows its last direction times its angle", own * points.q_rad[:, j], own
-    )
+    yield of_joint(n, j, variable, "follows its last direction times its angle", own * points.q_rad[:, j], own)
     if gravity is not None:
         load = np.abs(gravity[:, j])
         yield of_joint(n, j, variable, "follows its last direction, more so under load", own * load, own)
@@ -259,15 +253,11 @@ def _unit_places(tip: Array) -> Array:
 def _of_the_camera(tip: Array) -> Iterator[Term]:
     """Scale, skew and distortion: what the measured place itself decides. The camera's frame and centre are unknown beside it."""
     centred, axes, unit = tip - tip.mean(axis=0), np.eye(3), _unit_places(tip)
-    rigid = SIZE_m * np.array(
-        [*(np.ones((len(unit), 1)) * a for a in axes), *(np.cross(a, unit) for a in axes)]
-    )
+    rigid = SIZE_m * np.array([*(np.ones((len(unit), 1)) * a for a in axes), *(np.cross(a, unit) for a in axes)])
     lower = field_of_the_tip(tip)  # beside a distortion: its lower orders
 
     def place(words: str, *moves: Array, manner: str, beside: Array) -> Term:
-        return of_tip(
-            "place", f"everywhere: the measured places are {words}", *moves, manner=manner, beside=beside
-        )
+        return of_tip("place", f"everywhere: the measured places are {words}", *moves, manner=manner, beside=beside)
 
     yield place("scaled", centred, manner="", beside=rigid)
     for a, b in combinations_with_replacement(range(3), 2):
@@ -280,9 +270,7 @@ def _of_the_camera(tip: Array) -> Iterator[Term]:
     yield place("distorted with their distance", centred * square, manner="distance", beside=lower)
     for c in range(3):
         across = centred * (np.delete(centred, c, axis=1) ** 2).sum(axis=1, keepdims=True)
-        yield place(
-            f"distorted about {AXES[c]}", across * (1.0 - axes[c]), manner="distorted about", beside=lower
-        )
+        yield place(f"distorted about {AXES[c]}", across * (1.0 - axes[c]), manner="distorted about", beside=lower)
 
 
 def _stands_elsewhere(variable: str, words: str, tip: Array, course: Array, manner: str = ELSEWHERE) -> Term:
@@ -390,12 +378,7 @@ def smooth_of_joint(n: int, j: int, variable: str, words: str, courses: Array) -
 
 
 def of_tip(
-    variable: str,
-    words: str,
-    *moves: Array,
-    manner: str = "",
-    beside: Array | None = None,
-    turns: Sequence[Array] = (),
+    variable: str, words: str, *moves: Array, manner: str = "", beside: Array | None = None, turns: Sequence[Array] = ()
 ) -> Term:
     """`moves` (m, 3) of the tip, whatever the joints do, scaled to SIZE_m; `beside` (c, m, 3): columns that come along.
 
@@ -418,11 +401,7 @@ def of_turns(variable: str, words: str, turns: Array) -> Term:
 
 def is_still(one: Term) -> bool:
     """Whether a shape is constant at these poses."""
-    moved = [
-        float(np.ptp(slope, axis=1).max())
-        for slope in (one.slope_rad, one.slope_m, one.turn_rad)
-        if slope is not None
-    ]
+    moved = [float(np.ptp(slope, axis=1).max()) for slope in (one.slope_rad, one.slope_m, one.turn_rad) if slope is not None]
     return not any(moved)
 
 

@@ -62,9 +62,7 @@ class StaticGap:
         return by_joints(Fit(self.problem, self.x, None))[0]
 
 
-def drawn_laws(
-    around: Around, best: Weighed, names: Sequence[EffectName], residual_m: Array
-) -> tuple[DrawnLaw, ...]:
+def drawn_laws(around: Around, best: Weighed, names: Sequence[EffectName], residual_m: Array) -> tuple[DrawnLaw, ...]:
     """Each of the names over its own variable, of those that move joints, or the tip along one line; residual_m (m, 3): what the
     whole set leaves.
     """

@@ -92,9 +92,7 @@ def recordings(points: Points) -> npt.NDArray[np.str_]:
     return np.array(
         [
             f"{setup}|{payload:g}|{''.join(f'{int(last):+d}' for last in direction)}"
-            for setup, payload, direction in zip(
-                points.setup, points.payload_kg, points.direction, strict=True
-            )
+            for setup, payload, direction in zip(points.setup, points.payload_kg, points.direction, strict=True)
         ]
     )
 

@@ -14,9 +14,7 @@ from calib.gap.posterior.term import Block
 from calib.gap.words import listed
 
 
-def remainders(
-    around: Around, decision: Decision, reasons: Mapping[EffectName, str]
-) -> tuple[Remainder, ...]:
+def remainders(around: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first: blocks, sets that are ambiguous, laws that do not hold."""
     best = decision.best
     numbers = {around.terms[k].key: k for k, _ in best.members}
@@ -43,9 +41,7 @@ def unknown_part(around: Around, decision: Decision, reasons: Mapping[EffectName
     numbers = {terms[k].key: k for k, _ in best.members}
     blocks = [key for group in decision.remainders for key in group if isinstance(key, Block)]
     ranked = sorted(
-        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words)
-        for key in blocks
-        if key in numbers
+        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words) for key in blocks if key in numbers
     )
     names = [key for group in decision.remainders for key in group if isinstance(key, EffectName)]
     if ranked:
@@ -68,8 +64,7 @@ def _nearest(around: Around, decision: Decision) -> tuple[EffectName | None, flo
     top = max(others, key=lambda k: float(added.log[k]))
     key = around.terms[top].key
     alone, with_it = (
-        left_with(evidence, dataclasses.replace(best, members=some))
-        for some in (named, (*named, (top, int(added.best[top]))))
+        left_with(evidence, dataclasses.replace(best, members=some)) for some in (named, (*named, (top, int(added.best[top]))))
     )
     excess = alone - left_with(evidence, best)
     share = min(1.0, max(0.0, (alone - with_it) / excess)) if excess > 0.0 else 0.0
@@ -80,10 +75,7 @@ AGAIN = "Look there, and repeat the recording in another order to see whether it
 
 
 def next_experiment(
-    ambiguous: Sequence[Sequence[EffectName]],
-    unknown: Unknown | None,
-    could: Sequence[Nameable],
-    has_free: bool,
+    ambiguous: Sequence[Sequence[EffectName]], unknown: Unknown | None, could: Sequence[Nameable], has_free: bool
 ) -> str | None:
     """A sentence, or None if nothing is open."""
     if ambiguous:
@@ -99,9 +91,7 @@ def next_experiment(
     return f"To name {names}, record {free}{'; '.join(wanted[:3])}."
 
 
-def open_questions(
-    ambiguous: Sequence[Sequence[EffectName]], remainder: Sequence[Remainder]
-) -> tuple[OpenQuestion, ...]:
+def open_questions(ambiguous: Sequence[Sequence[EffectName]], remainder: Sequence[Remainder]) -> tuple[OpenQuestion, ...]:
     """Each set that is ambiguous, and each remainder, with the recording that would settle it."""
     sets = [OpenQuestion(f"{listed(names)}?", _apart(names)) for names in ambiguous if names]
     known = {" or ".join(map(str, names)) for names in ambiguous}

@@ -118,9 +118,7 @@ class Around:
         return self.evidence.terms
 
     @classmethod
-    def of(
-        cls, state: State, looked: Looked, blocks: Sequence[Term] = (), keys: Collection[Key] | None = None
-    ) -> Around:
+    def of(cls, state: State, looked: Looked, blocks: Sequence[Term] = (), keys: Collection[Key] | None = None) -> Around:
         """`blocks`: of a look before; `keys`: only these terms."""
         arm, points, floor = looked.bare_arm, looked.points, looked.floor
         scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
@@ -128,9 +126,7 @@ class Around:
         if keys is not None:  # of those left out of the list the keys are blocks
             effects = {key.effect if isinstance(key, EffectName) else key.variable for key in keys}
         names = [_unlisted(one, looked.without) for one in pose_terms(scene, effects)]
-        terms = [
-            one for one in (*names, *(blocks or blocks_of(scene, names))) if keys is None or one.key in keys
-        ]
+        terms = [one for one in (*names, *(blocks or blocks_of(scene, names))) if keys is None or one.key in keys]
         linear = Linear.around(state.posed(), floor.lever_m, terms, state.linear, state.weight, state.follows)
         held = holding_currents(state.fit, arm, points, state.turn_rad, terms)
         rows = looked.parts.known
@@ -204,9 +200,7 @@ class Around:
         encoder_rad = fit.problem.observed.q_rad
 
         def moves(there: Fit, turn_rad: Array) -> tuple[Array, Array]:
-            scene = PoseScene.of(
-                there.shaped(looked.bare_arm), there.shaped(loaded), looked.points, encoder_rad + turn_rad
-            )
+            scene = PoseScene.of(there.shaped(looked.bare_arm), there.shaped(loaded), looked.points, encoder_rad + turn_rad)
             # each as it is there, or itself if it is not there
             same = {(one.key, one.variant, one.count): one for one in reversed(pose_terms(scene, effects))}
             moving = [(same.get((one.key, one.variant, one.count), one), own) for one, own in acting]
@@ -247,6 +241,4 @@ def _unlisted(one: Term, without: Collection[str]) -> Term:
     """A term whose effect was left out of the list, as a block."""
     if not isinstance(one.key, EffectName) or one.key.effect not in without:
         return one
-    return dataclasses.replace(
-        one, key=Block(one.key.joint or 0, one.key.effect), words=f"{one.key} (left out of the list)"
-    )
+    return dataclasses.replace(one, key=Block(one.key.joint or 0, one.key.effect), words=f"{one.key} (left out of the list)")

@@ -59,9 +59,7 @@ class Decision:
 
 
 def decide(
-    evidence: Evidence,
-    found: Sequence[Weighed],
-    rivals: Mapping[EffectName, Collection[EffectName]] | None = None,
+    evidence: Evidence, found: Sequence[Weighed], rivals: Mapping[EffectName, Collection[EffectName]] | None = None
 ) -> Decision:
     """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is.
 
@@ -87,10 +85,7 @@ def decide(
         groups.append((*group, *crooked(evidence, found[0], group[0])) if len(group) == 1 else group)
     left = tuple(group for group in groups if any(isinstance(key, Block) for key in group))
     sets = [tuple(key for key in g if isinstance(key, EffectName)) for g in groups if g not in left]
-    names, ambiguous = (
-        tuple(own[0] for own in sets if len(own) == 1),
-        tuple(own for own in sets if len(own) > 1),
-    )
+    names, ambiguous = (tuple(own[0] for own in sets if len(own) == 1), tuple(own for own in sets if len(own) > 1))
     return Decision(names, ambiguous, left, chance, found[0])
 
 
@@ -136,10 +131,7 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
     return tuple(
         block
         for block, move in moves.items()
-        if isinstance(block, Block)
-        and block.joint == key.acts_on
-        and block.variable.startswith(begin)
-        and move > least
+        if isinstance(block, Block) and block.joint == key.acts_on and block.variable.startswith(begin) and move > least
     )
 
 
@@ -239,9 +231,7 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     share = np.array(weights) / np.sum(weights)
     mean = np.einsum("v,vc->c", share, np.array(means))
     apart = np.array(means) - mean
-    covariance = np.einsum("v,vcd->cd", share, np.array(covariances)) + np.einsum(
-        "v,vc,vd->cd", share, apart, apart
-    )
+    covariance = np.einsum("v,vcd->cd", share, np.array(covariances)) + np.einsum("v,vc,vd->cd", share, apart, apart)
     best = terms[int(np.argmax(share))]
     made = best.parameters if best.between is None else best.between(*_likeliest(evidence, found, rest, key))
     named = made(mean, covariance) if made is not None else {}
@@ -252,9 +242,7 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     return Estimated(named, departs_by, best.variable, mean, covariance, tuple(summed.items()))
 
 
-def _ways(
-    evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: Key
-) -> list[tuple[int, int, float]]:
+def _ways(evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: Key) -> list[tuple[int, int, float]]:
     """Variants and sizes that count, with their log evidence; those of exact laws left out, where a law may depart.
 
     No real part keeps its law: an interval holds only if it counts the departures that the data do not show.
@@ -269,9 +257,7 @@ def _ways(
     return [(number, scale, log - top) for number, scale, log in ways if log > top - MARGIN]
 
 
-def _likeliest(
-    evidence: Evidence, found: Weighed, rest: Sequence[tuple[int, int]], key: Key
-) -> tuple[float, float]:
+def _likeliest(evidence: Evidence, found: Weighed, rest: Sequence[tuple[int, int]], key: Key) -> tuple[float, float]:
     """The likeliest variant between those that were tried, and the standard deviation of its logarithm: of the parabola of log
     evidence through the best one and its neighbours. At an end of what was tried it is that end, however sure.
     """
@@ -279,10 +265,7 @@ def _likeliest(
     logs = np.array(
         [
             np.logaddexp.reduce(
-                [
-                    evidence.value([*rest, (number, scale)], found.kappa)
-                    for scale in range(len(evidence.weights[number]))
-                ]
+                [evidence.value([*rest, (number, scale)], found.kappa) for scale in range(len(evidence.weights[number]))]
             )
             for number in numbers
         ]
@@ -332,11 +315,7 @@ RIVAL_LEVEL, RIVAL_DEPARTURE = SIZE_LEVELS[2], DEPARTURES[2]  # a large one, of 
 def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     """Every effect of the list, the middle one of its variants, with those that it cannot be told from."""
     gram = evidence.gram
-    names = {
-        key: numbers[len(numbers) // 2]
-        for key, numbers in evidence.of_key.items()
-        if isinstance(key, EffectName)
-    }
+    names = {key: numbers[len(numbers) // 2] for key, numbers in evidence.of_key.items() if isinstance(key, EffectName)}
     columns = [evidence.places[k][: evidence.terms[k].laws] for k in names.values()]
     every, ends = np.concatenate([*columns, []]).astype(int), np.cumsum([len(own) for own in columns])
     places = {key: slice(end - len(own), end) for key, own, end in zip(names, columns, ends, strict=True)}

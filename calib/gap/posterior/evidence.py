@@ -137,9 +137,7 @@ class Evidence:
 
     def _inner(self, at: Places, sd: Array, kappa: float) -> Array:
         """Cholesky factor of I + V^1/2 G V^1/2."""
-        return np.asarray(
-            np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd)
-        )
+        return np.asarray(np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd))
 
     def taken(self, at: Places, sd: Array, some: Places, kappa: float) -> Array:
         """What columns at places (k,) of prior deviations (k,) take of G and h of some others, (k, p + 1): T with T'T of it.
@@ -192,9 +190,7 @@ class Evidence:
         """Ln Z of a set over nothing at the floor, the priors of its scales and of kappa included."""
         at, sd = self._columns(members)
         gram = self.gram
-        total = (
-            -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
-        )
+        total = -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
         if len(at):
             inner = self._inner(at, sd, kappa)
             half = np.linalg.solve(inner, sd * gram.drawn(at, kappa))

@@ -49,10 +49,7 @@ class Search:
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
         expanded: set[frozenset[Key]] = set()
-        for start in [
-            *known,
-            *self._starts(),
-        ]:  # one after the other: many that fit anything would cut off the few
+        for start in [*known, *self._starts()]:  # one after the other: many that fit anything would cut off the few
             self.of({*start, *self.forced})
             self._improve(expanded)
         best = max(self.seen.values(), key=lambda one: one.log)
@@ -131,12 +128,7 @@ class Search:
                 self._grow(rest, around.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
 
     def _grow(
-        self,
-        members: Sequence[Member],
-        kappa: float,
-        width: int,
-        but: Key | None = None,
-        least: float = GAIN_LEAST,
+        self, members: Sequence[Member], kappa: float, width: int, but: Key | None = None, least: float = GAIN_LEAST
     ) -> None:
         added, present = self.evidence.added(members, kappa), self.keys(members)
         gains: list[tuple[float, int]] = []
@@ -222,10 +214,7 @@ class MergingSearch(Search):
             return True
         alternative = self._traits(key).alternative
         return not alternative or not any(
-            isinstance(one, EffectName)
-            and one != key
-            and one.joint == key.joint
-            and self._traits(one).alternative == alternative
+            isinstance(one, EffectName) and one != key and one.joint == key.joint and self._traits(one).alternative == alternative
             for one in present
         )
 

@@ -115,11 +115,7 @@ class Term:
         rhos = DEPARTURES if self.departures else (0.0,)
         weights = DEPARTURE_WEIGHTS if self.departures else (1.0,)
         rest = self.count - self.laws - self.departures
-        rows = [
-            [level] * self.laws + [level * rho] * self.departures + [level] * rest
-            for level in SIZE_LEVELS
-            for rho in rhos
-        ]
+        rows = [[level] * self.laws + [level * rho] * self.departures + [level] * rest for level in SIZE_LEVELS for rho in rhos]
         logs = [np.log(a * b) for a in SIZE_WEIGHTS for b in weights]
         return np.array(rows), np.array(logs)
 

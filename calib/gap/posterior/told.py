@@ -92,9 +92,7 @@ class Told:
         inner = np.eye(len(covariance)) + covariance @ across[self.places[name]]
         taken = across @ np.linalg.solve(inner, covariance)
         return dataclasses.replace(
-            self,
-            information=self.information - taken @ across.T,
-            pull=self.pull - taken @ self.pull[self.places[name]],
+            self, information=self.information - taken @ across.T, pull=self.pull - taken @ self.pull[self.places[name]]
         )
 
     def knows_better(self, name: EffectName, other: Told) -> bool:

@@ -295,9 +295,7 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     bends = float(np.linalg.norm(bent)) * inertia / K
     turns = float(np.linalg.norm(turning)) * K / R
     by_channel = bends if channel == "current_A" else turns
-    if (
-        channel == "current_A" and not recording.has_current
-    ):  # the current is then the voltage's, less the speed's
+    if channel == "current_A" and not recording.has_current:  # the current is then the voltage's, less the speed's
         by_channel = float(np.hypot(bends, turns))
     noise = 0.0
     if recording.has_current:  # white, the middle of all runs

@@ -46,9 +46,7 @@ def _smooth(run: EvenRun, filters: Filters) -> EvenRun:
     speed, acceleration = (_passed(own, of_angle, beside) for own in (run.speed, run.acceleration))
     current, slope = (_passed(own, of_current, beside) for own in (run.current_A, run.current_slope))
     voltage = _passed(run.voltage_V, of_angle, beside)  # the controller answers to the angles' noise, too
-    return replace(
-        run, speed=speed, acceleration=acceleration, current_A=current, current_slope=slope, voltage_V=voltage
-    )
+    return replace(run, speed=speed, acceleration=acceleration, current_A=current, current_slope=slope, voltage_V=voltage)
 
 
 def _passed(values: Array, shares: Array, beside: int) -> Array:
@@ -103,9 +101,7 @@ class RowConditions:
     axis: Places  # of the tip's rows
 
     @classmethod
-    def of(
-        cls, runs: Sequence[EvenRun], load: list[Array], current: list[Array], turned: list[Array]
-    ) -> RowConditions:
+    def of(cls, runs: Sequence[EvenRun], load: list[Array], current: list[Array], turned: list[Array]) -> RowConditions:
         """Of every sample, run after run."""
 
         def joined(key: str) -> Array:
@@ -113,10 +109,18 @@ class RowConditions:
 
         run = np.repeat(np.arange(len(runs)), [len(one) for one in runs])
         return cls(
-            run, np.concatenate([np.arange(len(one)) for one in runs]), np.concatenate([one.t_s - one.t_s[0] for one in runs]),
-            joined("q"), joined("speed"), joined("acceleration"), np.concatenate(load), np.concatenate(current),
-            joined("payload_kg"), np.concatenate(turned), np.zeros_like(run),
-        )  # fmt: skip
+            run,
+            np.concatenate([np.arange(len(one)) for one in runs]),
+            np.concatenate([one.t_s - one.t_s[0] for one in runs]),
+            joined("q"),
+            joined("speed"),
+            joined("acceleration"),
+            np.concatenate(load),
+            np.concatenate(current),
+            joined("payload_kg"),
+            np.concatenate(turned),
+            np.zeros_like(run),
+        )
 
     def at(self, places: Places, axes: int) -> RowConditions:
         """At some samples, `axes` rows each."""
@@ -160,9 +164,7 @@ class Thin:
         last = np.flatnonzero(since % together == together - 1)
         members = (AXES * (last[:, None, None] - np.arange(together)) + np.arange(AXES)[:, None]).reshape(-1)
         ends = np.arange(0, len(members) + 1, together)
-        mix = sparse.csr_array(
-            (np.full(len(members), together**-0.5), members, ends), shape=(len(ends) - 1, len(sample))
-        )
+        mix = sparse.csr_array((np.full(len(members), together**-0.5), members, ends), shape=(len(ends) - 1, len(sample)))
         middle = np.repeat(last - together // 2, AXES)
         return cls(of_run[middle], frames[middle], together * step, AXES, mix)
 
@@ -228,9 +230,7 @@ class SeriesScene:
 
     def picked(self, rows: Flags) -> Flags:
         """Thin rows all of whose rows (k,) are picked."""
-        return np.concatenate(
-            [own.all_of(rows[cell.rows]) for own, cell in zip(self.thinned, self.cells, strict=True)]
-        )
+        return np.concatenate([own.all_of(rows[cell.rows]) for own, cell in zip(self.thinned, self.cells, strict=True)])
 
     def _thinned(self, cell: ChannelRows, beside: RowConditions) -> Thin:
         """Rows of a current are thin already; frames of a quick camera are averaged, as far as a motion lets them."""
@@ -238,9 +238,7 @@ class SeriesScene:
             return Thin.each(beside.run, beside.sample, self.recording.filters.step)
         steps = np.concatenate([np.diff(run.frames) for run in self.recording.runs])
         step = int(np.median(steps)) if len(steps) else 1
-        return Thin.of_frames(
-            beside.run, beside.sample, step, max(1, round(TIP_ROW_s * self.recording.filters.rate_Hz / step))
-        )
+        return Thin.of_frames(beside.run, beside.sample, step, max(1, round(TIP_ROW_s * self.recording.filters.rate_Hz / step)))
 
     def _beside(self, cell: ChannelRows) -> RowConditions:
         """What stands beside the rows of a cell."""
@@ -250,9 +248,7 @@ class SeriesScene:
 
     def number(self, channel: str, joint: int = -1) -> int | None:
         """Of the cell of a channel and joint (0-based), if there is one."""
-        return next(
-            (k for k, one in enumerate(self.cells) if (one.channel, one.joint) == (channel, joint)), None
-        )
+        return next((k for k, one in enumerate(self.cells) if (one.channel, one.joint) == (channel, joint)), None)
 
     def split(self, columns: Array) -> dict[int, Array]:
         """Columns (rows, c) by cell, without the cells where they are nought."""
@@ -319,9 +315,7 @@ class OperatingPoint:
     def of(cls, scene: SeriesScene, known: Sequence[Law], found: Mapping[Key, Law]) -> OperatingPoint:
         """With what it leaves."""
         model = (*known, *found.values())
-        return cls(
-            scene, tuple(known), dict(found), scene.rows.residual(model), scene.columns.residual(model)
-        )
+        return cls(scene, tuple(known), dict(found), scene.rows.residual(model), scene.columns.residual(model))
 
     @property
     def model(self) -> tuple[Law, ...]:
@@ -355,9 +349,7 @@ class SeriesTerm(Term):
     now: Array | None = None  # coefficients at which the model of this linearisation has it
     is_common: bool = False  # every gear has it, and the file says nothing of it
     curve: Curve | None = None
-    alike: Array = field(
-        default_factory=lambda: np.zeros((0, 1, 1))
-    )  # see `departed`: no data tell this from the law
+    alike: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))  # see `departed`: no data tell this from the law
 
     @property
     def count(self) -> int:
@@ -420,10 +412,7 @@ def stacked(parts: Sequence[Response]) -> dict[int, Array]:
     for cell in cells:
         rows = next(part[cell].shape[0] for part in parts if cell in part)
         found[cell] = np.hstack(
-            [
-                part[cell] if cell in part else np.zeros((rows, width))
-                for part, width in zip(parts, widths, strict=True)
-            ]
+            [part[cell] if cell in part else np.zeros((rows, width)) for part, width in zip(parts, widths, strict=True)]
         )
     return found
 

@@ -101,26 +101,27 @@ def judged(fit: SeriesFit, parts: RowSplit, harming: Sequence[Key]) -> SeriesVer
         other += [left_out] if left_out.worth > REMAINS else []
     named = [k for k in named if fit.linear.terms[k].key not in file.dropped]
     sets = tuple(group for group in fit.decision.ambiguous if _is_material(fit, group))
-    return _verdict(
-        fit, with_only(fit, [*named, *corrected]), named, file, other, sets, harming, said, reporting
-    )
+    return _verdict(fit, with_only(fit, [*named, *corrected]), named, file, other, sets, harming, said, reporting)
 
 
 def _verdict(
-    whole: SeriesFit, fit: SeriesFit, named: Collection[int], file: Identified, other: Sequence[NamelessShape],
-    sets: tuple[tuple[EffectName, ...], ...], harming: Sequence[Key], said: Sequence[str], reporting: Picked,
-) -> SeriesVerdict:  # fmt: skip
+    whole: SeriesFit,
+    fit: SeriesFit,
+    named: Collection[int],
+    file: Identified,
+    other: Sequence[NamelessShape],
+    sets: tuple[tuple[EffectName, ...], ...],
+    harming: Sequence[Key],
+    said: Sequence[str],
+    reporting: Picked,
+) -> SeriesVerdict:
     """Of a fit whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
     laws: dict[EffectName, Law] = {}
     spread: dict[EffectName, Array] = {}
     departs: dict[EffectName, float] = {}
     kept: set[Key] = set()
     some = list(members(fit))
-    corrected = tuple(
-        (one.term, file.size[one.number])
-        for one in some
-        if one.number in file.size and one.number not in named
-    )
+    corrected = tuple((one.term, file.size[one.number]) for one in some if one.number in file.size and one.number not in named)
     for one in some:
         key = one.term.key
         if isinstance(key, Block) and one.term.words != CAMERA:
@@ -128,11 +129,7 @@ def _verdict(
         kept.add(key)
         if isinstance(key, EffectName) and one.number in named and one.term.law is not None:
             own = dataclasses.replace(one, size=file.size[one.number], covariance=file.covariance[one.number])
-            laws[key], departs[key], spread[key] = (
-                one.term.law(own.size).bounded(),
-                one.departure,
-                covariance_of_values(own),
-            )
+            laws[key], departs[key], spread[key] = (one.term.law(own.size).bounded(), one.departure, covariance_of_values(own))
     left_over = list(other)
     for one in some:
         key = one.term.key
@@ -151,12 +148,8 @@ def _verdict(
             kept.add(key)
     remainder = _remainder(whole, left_over, reporting)
     explained = kept.union(*sets)  # one of a set explains what it does, whichever it is
-    unknown = _unknown(whole, left_over, kept) or _silent(
-        whole, what_is_left(whole, explained), reporting, harming
-    )
-    return SeriesVerdict(
-        fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said)
-    )
+    unknown = _unknown(whole, left_over, kept) or _silent(whole, what_is_left(whole, explained), reporting, harming)
+    return SeriesVerdict(fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said))
 
 
 def _overshadowed(fit: SeriesFit, number: int, others: Sequence[int], reporting: Picked) -> NamelessShape:
@@ -197,13 +190,9 @@ def _against(fit: SeriesFit, one: Member, reporting: Picked) -> NamelessShape | 
     rival = name if isinstance(name, EffectName) else None
     # Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
     if one.departure > LAW_MOST and not one.term.is_common:
-        return NamelessShape(
-            worth, f"what {name} would explain departs too far from its law", one.number, rival
-        )
+        return NamelessShape(worth, f"what {name} would explain departs too far from its law", one.number, rival)
     if worth < 0.0:
-        return NamelessShape(
-            worth, f"{name} improves the fitted runs, but not the held-out ones", one.number, rival
-        )
+        return NamelessShape(worth, f"{name} improves the fitted runs, but not the held-out ones", one.number, rival)
     return None
 
 
@@ -267,9 +256,7 @@ def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[K
     if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
         return None
     size, words = max(
-        (float(np.sqrt(np.mean(after[c.rows][reporting[c.rows]] ** 2))), str(c))
-        for c in scene.cells
-        if reporting[c.rows].any()
+        (float(np.sqrt(np.mean(after[c.rows][reporting[c.rows]] ** 2))), str(c)) for c in scene.cells if reporting[c.rows].any()
     )
     return Unknown(
         f"the {words}: a residual of {size:.1f} times its noise, correlated with nothing that was tried",
@@ -284,9 +271,7 @@ def _nearest(fit: SeriesFit, kept: Collection[Key]) -> tuple[EffectName | None, 
     named = tuple(one for one in best.members if terms[one[0]].key in kept)
     added = evidence.added(named, best.kappa)
     others = [
-        k
-        for k, one in enumerate(terms)
-        if isinstance(one.key, EffectName) and one.key.effect in EFFECTS and one.key not in kept
+        k for k, one in enumerate(terms) if isinstance(one.key, EffectName) and one.key.effect in EFFECTS and one.key not in kept
     ]
     if not others:
         return None, 0.0
@@ -296,16 +281,12 @@ def _nearest(fit: SeriesFit, kept: Collection[Key]) -> tuple[EffectName | None, 
     at = np.concatenate([np.zeros(0, np.intp), *(evidence.places[number] for number, _ in named)])
     law = evidence.places[top][: terms[top].laws]  # without departures, which could bend it to anything
     seen, pull = evidence.gram.tip, evidence.gram.pull
-    taken = np.linalg.lstsq(
-        seen[np.ix_(at, at)], np.column_stack((seen[np.ix_(at, law)], pull[at])), rcond=None
-    )[0]
+    taken = np.linalg.lstsq(seen[np.ix_(at, at)], np.column_stack((seen[np.ix_(at, law)], pull[at])), rcond=None)[0]
     own = seen[np.ix_(law, law)] - seen[np.ix_(law, at)] @ taken[:, :-1]
     drawn = pull[law] - seen[np.ix_(law, at)] @ taken[:, -1]
     explained = float(drawn @ np.linalg.lstsq(own, drawn, rcond=None)[0])
     key = terms[top].key
-    return (key if isinstance(key, EffectName) else None), (
-        float(np.clip(explained / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
-    )
+    return (key if isinstance(key, EffectName) else None), (float(np.clip(explained / excess, 0.0, 1.0)) if excess > 0.0 else 0.0)
 
 
 def _remainder(fit: SeriesFit, other: Sequence[NamelessShape], reporting: Picked) -> tuple[Remainder, ...]:
@@ -317,9 +298,7 @@ def _remainder(fit: SeriesFit, other: Sequence[NamelessShape], reporting: Picked
         if one.worth > 0.0:
             moved = left(fit, fit.numbers, [one.number]) - whole
             size = {
-                channel: value
-                for channel, value in in_si(moved, scene.rows.table, reporting, scene.arm).items()
-                if value > 0.0
+                channel: value for channel, value in in_si(moved, scene.rows.table, reporting, scene.arm).items() if value > 0.0
             }
             found.append(Remainder(one.words, _share(fit, one.number), size))
     return tuple(found)

@@ -83,9 +83,7 @@ def _of_torque(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Ar
     yield "friction angle", "friction that changes with its angle", way * np.vstack([even, smooth(q, 8)])
     yield "speed", "growing with the square of its speed", np.array([speed * np.abs(speed)])
     yield "speed", "growing with the cube of its speed", np.array([speed**3])
-    roots = np.array(
-        [way * np.abs(speed) ** 0.5, speed * np.abs(speed), speed**3, way * np.exp(-np.abs(speed))]
-    )
+    roots = np.array([way * np.abs(speed) ** 0.5, speed * np.abs(speed), speed**3, way * np.exp(-np.abs(speed))])
     # what is left of it beside the two laws of every gear, so that it stands beside them and not for them
     yield "speed", "a smooth function of its speed", _beside(roots, np.array([way, speed]))
     yield "slow", "changing near rest", np.array([way * np.exp(-np.abs(v) / s) for s in (0.015, 0.05, 0.15)])
@@ -97,11 +95,7 @@ def _of_torque(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Ar
     turned = at.turned_rad[:, j]
     hysteresis = [way * np.exp(-turned / reach) for reach in PRESLIDING_rad]
     yield "turned", "as if friction built up again after each turning", np.array(hysteresis)
-    yield (
-        "sensor",
-        "a curved function of the current itself",
-        np.array([current * np.abs(current), current**3]),
-    )
+    yield ("sensor", "a curved function of the current itself", np.array([current * np.abs(current), current**3]))
     runs = np.unique(at.run)
     if len(runs) > 2:
         yield "run", "other in each run", np.array([(at.run == k) * 1.0 for k in runs])
@@ -114,11 +108,7 @@ def _of_others(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Ar
     way, even = at.direction[:, j], np.ones((1, len(at.run)))
     for i in range(n):
         if i != j:
-            yield (
-                f"joint {i + 1}",
-                f"as a smooth function of the angle of joint {i + 1}",
-                smooth(at.q[:, i], 4),
-            )
+            yield (f"joint {i + 1}", f"as a smooth function of the angle of joint {i + 1}", smooth(at.q[:, i], 4))
             others = [at.speed[:, i], at.acceleration[:, i], at.direction[:, i], at.load_Nm[:, i]]
             yield f"joint {i + 1}", f"following the motion of joint {i + 1}", np.array(others)
             yield (
@@ -143,11 +133,7 @@ def _windings(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
         ("resistance", "in proportion to its current: another winding resistance", np.array([current])),
         ("current offset", "constant: an offset of its current sensor", np.ones((1, len(q)))),
         ("inductance", "in proportion to its current's slope: another inductance", np.array([slope])),
-        (
-            "dead time",
-            "by the sign of its current",
-            np.array([np.tanh(current / 0.05), np.tanh(current / 0.3)]),
-        ),
+        ("dead time", "by the sign of its current", np.array([np.tanh(current / 0.05), np.tanh(current / 0.3)])),
         ("current", "a curved function of its current", np.array([current * np.abs(current), current**3])),
         # in proportion to speed it is the motor's constant
         ("speed", "a curved function of its speed", np.array([v * v, v * np.abs(v), v**3])),
@@ -155,10 +141,7 @@ def _windings(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
         ("time", "changing during a run", np.vstack([smooth(at.t_s, 3), current * smooth(at.t_s, 3)])),
     ):
         yield from _block(
-            joint,
-            f"winding {variable}",
-            f"the voltage of joint {joint}, {words}",
-            {number: size * _unit(columns).T},
+            joint, f"winding {variable}", f"the voltage of joint {joint}, {words}", {number: size * _unit(columns).T}
         )
 
 
@@ -173,16 +156,9 @@ def _angles(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     at, j = scene.beside[number], joint - 1
     size = USUAL * ZERO_rad
     for variable, words, columns in _of_an_angle(at, j, scene.arm.joint_count):
-        said = (
-            f"the tip, {words}"
-            if words.startswith("as if")
-            else f"the tip, as if joint {joint} were elsewhere, {words}"
-        )
+        said = f"the tip, {words}" if words.startswith("as if") else f"the tip, as if joint {joint} were elsewhere, {words}"
         yield from _block(
-            joint,
-            f"tip {variable}",
-            said.replace("its", f"joint {joint}'s"),
-            scene.ahead(j, size * _unit(columns)),
+            joint, f"tip {variable}", said.replace("its", f"joint {joint}'s"), scene.ahead(j, size * _unit(columns))
         )
     for k in range(2, 38, 6):  # harmonics of its turn, a few at a time
         waves = np.array([wave(n * at.q[:, j]) for n in (k, k + 2, k + 4) for wave in (np.sin, np.cos)])
@@ -210,13 +186,9 @@ def _of_an_angle(at: RowConditions, j: int, n: int) -> list[tuple[str, str, Arra
     ]
     runs = np.unique(at.run)
     if len(runs) > 2:
-        shapes.append(
-            ("run", "as if its zero were other in each run", np.array([(at.run == k) * 1.0 for k in runs]))
-        )
+        shapes.append(("run", "as if its zero were other in each run", np.array([(at.run == k) * 1.0 for k in runs])))
     shapes += [
-        (f"angle of joint {i + 1}", f"following the angle of joint {i + 1}", smooth(at.q[:, i]))
-        for i in range(n)
-        if i != j
+        (f"angle of joint {i + 1}", f"following the angle of joint {i + 1}", smooth(at.q[:, i])) for i in range(n) if i != j
     ]
     return shapes
 
@@ -231,9 +203,7 @@ def _fields(scene: SeriesScene) -> Iterator[SeriesTerm]:
     ways = [unit[:, a] * unit[:, b] for a in range(3) for b in range(a, 3)]
     columns = np.array([(way[:, None] * axis).ravel() for way in ways for axis in np.eye(3)])
     size = USUAL * PLACE_m / scene.cells[number].floor
-    yield from _block(
-        0, "tip field", "the tip: the measured places are off by a smooth field", {number: size * columns.T}
-    )
+    yield from _block(0, "tip field", "the tip: the measured places are off by a smooth field", {number: size * columns.T})
 
 
 def _clocks(around: OperatingPoint) -> Iterator[SeriesTerm]:

@@ -84,9 +84,7 @@ class _Laws:
         groups = [group & fit.around.scene.kept for group in parts.groups or (parts.deciding,)]
         grams = tuple(table[group].T @ table[group] for group in groups)
         # of links and frames no motion tells everything
-        ridge = np.concatenate(
-            [np.zeros(0), *(np.full(free.shape[1], free.shape[1] > 2) for _, free in ways)]
-        )
+        ridge = np.concatenate([np.zeros(0), *(np.full(free.shape[1], free.shape[1] > 2) for _, free in ways)])
         total = np.sum(grams, axis=0)
         parted = np.array([_solved(total - own, ridge) for own in grams] if len(grams) > 1 else [])
         bent = _bent(fit, some, groups) if len(grams) > 1 else {}
@@ -104,9 +102,7 @@ class _Laws:
         found = {}
         for one, place in zip(self.members, self.places, strict=True):
             covariance = one.covariance.copy()
-            spread = jackknife_variance(
-                self.bent[one.number] if one.number in self.bent else self.parted[..., place]
-            )
+            spread = jackknife_variance(self.bent[one.number] if one.number in self.bent else self.parted[..., place])
             for k, variance in enumerate(spread.tolist()):
                 factor = math.sqrt(max(1.0, variance / max(covariance[k, k], 1e-300)))
                 covariance[k, :] *= factor
@@ -136,10 +132,7 @@ class _Laws:
             own, sd = self.whole[place], np.sqrt(np.diag(covariance[one.number])[: place.stop - place.start])
             far = float(np.linalg.norm(own / np.maximum(sd, 1e-300)))
             if (one.term.is_positive and own[0] < one.term.least) or far < INTERVAL_sd:
-                worst[_name(one)] = (
-                    far if own[0] > 0.0 else -far,
-                    "may as well be none, identified with what else is named",
-                )
+                worst[_name(one)] = (far if own[0] > 0.0 else -far, "may as well be none, identified with what else is named")
         if worst:
             name = min(worst, key=lambda key: worst[key][0])
             return {name: worst[name][1]}
@@ -199,9 +192,7 @@ def _solved(gram: Array, ridge: Array) -> Array:
     """Coefficients of all columns but the last, which they add up to."""
     inner = gram[:-1, :-1] + np.diag(ridge)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    return np.asarray(
-        scale * np.linalg.lstsq(scale[:, None] * inner * scale, scale * gram[:-1, -1], rcond=1e-10)[0]
-    )
+    return np.asarray(scale * np.linalg.lstsq(scale[:, None] * inner * scale, scale * gram[:-1, -1], rcond=1e-10)[0])
 
 
 def _ways(one: Member) -> tuple[Array, Array]:

@@ -13,42 +13,17 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import SHARED, known_laws, role_of
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.motor import ORDERS
-from calib.gap.finding import (
-    GEOMETRY,
-    DrawnLaw,
-    EffectName,
-    GapFinding,
-    OpenQuestion,
-    Unknown,
-    as_totals,
-    updated_arm,
-)
+from calib.gap.finding import GEOMETRY, DrawnLaw, EffectName, GapFinding, OpenQuestion, Unknown, as_totals, updated_arm
 from calib.gap.log import Log
 from calib.gap.posterior.constants import REMAINS
 from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ResidualRows, RowTable, without_motion
 from calib.gap.residuals.scene import SeriesScene
-from calib.gap.series.answer import (
-    SeriesVerdict,
-    judged,
-    nameable_effects,
-    named_effects,
-    seen_by_sensors,
-    what_is_left,
-)
+from calib.gap.series.answer import SeriesVerdict, judged, nameable_effects, named_effects, seen_by_sensors, what_is_left
 from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted, unknown_rotors
 from calib.gap.series.linear import SeriesFit
-from calib.gap.series.outcome import (
-    doubts,
-    drawn_laws,
-    floors_si,
-    gap,
-    grown,
-    in_rad,
-    in_si,
-    left_out,
-)
+from calib.gap.series.outcome import doubts, drawn_laws, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
 from calib.gap.series.split import RowSplit, split
 from calib.gap.series.validation import members, validated
@@ -63,9 +38,7 @@ from control.plain_text import silent as quiet
 IN_KINEMATICS = (GEOMETRY, FRAME)  # what the file has of them is no law of its own
 
 
-def find(
-    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None
-) -> GapFinding:
+def find(arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None) -> GapFinding:
     """What is hidden in a log of this arm; `candidates`: only these effects of the list, by name.
 
     Raises UnusableLogError where no answer is possible (another arm's log, degrees, runs that are too short).
@@ -74,22 +47,14 @@ def find(
 
 
 def examine(
-    arm: Arm,
-    log: Log,
-    advance: Advance | None = None,
-    candidates: Collection[str] | None = None,
-    told: Told | None = None,
+    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None, told: Told | None = None
 ) -> DynamicOutcome:
     """`find`, with what a report shows beside the finding; `told`: what other recordings of the arm tell of its effects."""
     return decided(arm, log, advance, candidates, told).outcome()
 
 
 def decided(
-    arm: Arm,
-    log: Log,
-    advance: Advance | None = None,
-    candidates: Collection[str] | None = None,
-    told: Told | None = None,
+    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None, told: Told | None = None
 ) -> Examined:
     """What is decided about a log, before any file is evaluated on it."""
     progress = _rising(advance or quiet)
@@ -179,9 +144,7 @@ class Examined:
         for one in found.effects:
             laws.pop(one.name, None)
             laws |= {name: law for name, law in told.items() if name == one.name}
-            staged.append(
-                dataclasses.replace(one, gap_after=gap(left_by(laws), rows.table, self.parts.reporting))
-            )
+            staged.append(dataclasses.replace(one, gap_after=gap(left_by(laws), rows.table, self.parts.reporting)))
         laws = laws if file is None else told
         after = left_by(laws)
         moved = motion_gaps(rows.physics, self.known, tuple(laws.values()), self.parts.report_runs)
@@ -190,10 +153,7 @@ class Examined:
             noise_floor={**found.noise_floor, **in_rad(moved, "floor_rad")},
             gap_after=gap(after, rows.table, self.parts.reporting),
             before_si={**found.before_si, **in_rad(moved, "before_rad")},
-            after_si={
-                **in_si(after, rows.table, self.parts.reporting, self.arm),
-                **in_rad(moved, "after_rad"),
-            },
+            after_si={**in_si(after, rows.table, self.parts.reporting, self.arm), **in_rad(moved, "after_rad")},
             effects=tuple(staged),
         )
         return DynamicOutcome(
@@ -248,9 +208,7 @@ def _rising(advance: Advance) -> Advance:
 
 
 # What to record next, to settle what a verdict on time series leaves open.
-def next_experiment(
-    recording: RunSet, sets: Sequence[Sequence[EffectName]], unknown: Unknown | None
-) -> str | None:
+def next_experiment(recording: RunSet, sets: Sequence[Sequence[EffectName]], unknown: Unknown | None) -> str | None:
     """What to record where something is open."""
     if sets:
         return _to_separate(recording, sets[0])
@@ -268,8 +226,7 @@ def open_questions(recording: RunSet, verdict: SeriesVerdict) -> tuple[OpenQuest
     ]
     rest = [
         OpenQuestion(
-            f"What causes the residual in {one.where}?",
-            f"Record {_advice(recording, one.where.startswith('the tip'))}.",
+            f"What causes the residual in {one.where}?", f"Record {_advice(recording, one.where.startswith('the tip'))}."
         )
         for one in verdict.remainder
     ]

@@ -29,15 +29,7 @@ from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm, scaled
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import ACCELERATION, blocks_of, torque_size
-from calib.gap.series.linear import (
-    SeriesFit,
-    SeriesLinear,
-    cross_validated,
-    marginalised,
-    noises_of,
-    refitted,
-    weighed,
-)
+from calib.gap.series.linear import SeriesFit, SeriesLinear, cross_validated, marginalised, noises_of, refitted, weighed
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 from calib.settling import FITS_MOST, Settling
@@ -157,9 +149,7 @@ def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
         further = at(_refitted(fit, around, split))
         before, after = remains(around, fit), remains(further, fit)
         # what a play does to the rows bends so much that a refit may lead away
-        if after @ after <= before @ before and settling.takes(
-            float(np.linalg.norm(after - before)), SETTLED_sd
-        ):
+        if after @ after <= before @ before and settling.takes(float(np.linalg.norm(after - before)), SETTLED_sd):
             around = further
         else:
             scene.keep(kept)
@@ -208,9 +198,7 @@ def _usual(one: SeriesTerm) -> Array:
 RIVALS_MOST = 3  # that are looked into: each costs a linearisation
 
 
-def against_rivals(
-    fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear]
-) -> SeriesFit:
+def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear]) -> SeriesFit:
     """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
     scene = fit.around.scene
     near: list[tuple[EffectName, EffectName]] = []
@@ -295,8 +283,7 @@ def nuisances(around: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[S
             own = {
                 cell: columns[:, : one.laws]
                 for cell, columns in one.response.items()
-                if not (isinstance(one.key, EffectName) and is_gear(one.key.effect))
-                or around.scene.cells[cell].joint < 0
+                if not (isinstance(one.key, EffectName) and is_gear(one.key.effect)) or around.scene.cells[cell].joint < 0
             }
             effect = one.key.effect if isinstance(one.key, EffectName) else one.key.variable
             if own and one.key in unknown:
@@ -338,9 +325,7 @@ def _departing(around: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
     column = around.scene.split(around.scene.columns.friction_slope(law)[:, None])
     bent, _ = departures(around.scene, series.departs, law.name.joint - 1, column)
     if bent:
-        yield _nuisance(
-            f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1]
-        )
+        yield _nuisance(f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1])
 
 
 def _nuisance(words: str, response: dict[int, np.ndarray], width: int) -> SeriesTerm:

@@ -45,9 +45,7 @@ class SeriesLinear:
     places: tuple[Places, ...]  # of each term's columns
 
     @classmethod
-    def around(
-        cls, around: OperatingPoint, terms: Sequence[SeriesTerm], nuisances: Sequence[SeriesTerm] = ()
-    ) -> SeriesLinear:
+    def around(cls, around: OperatingPoint, terms: Sequence[SeriesTerm], nuisances: Sequence[SeriesTerm] = ()) -> SeriesLinear:
         """Terms of the model are added to what it leaves, at what they are there."""
         y = -around.residual.copy()
         for one in terms:
@@ -62,9 +60,7 @@ class SeriesLinear:
             moving = [number for number, one in enumerate(whole) if k in one.response]
             parts = (y[cell.rows][:, None], *(whole[number].response[k] for number in moving))
             columns = np.hstack([thin.of(part) for part in parts])
-            stacks.append(
-                Stack(columns, np.concatenate([np.zeros(0, np.intp), *(places[number] for number in moving)]))
-            )
+            stacks.append(Stack(columns, np.concatenate([np.zeros(0, np.intp), *(places[number] for number in moving)])))
         thin_y = np.concatenate([stack.columns[:, 0] for stack in stacks])
         own_places = tuple(places[len(nuisances) :])
         return cls(around.scene, tuple(terms), tuple(nuisances), y, thin_y, tuple(stacks), own_places)
@@ -163,11 +159,7 @@ def noises_of(scene: SeriesScene, rest: Array, rows: Picked) -> list[Noise]:
     found = []
     for k, thin in enumerate(scene.thin):
         picked = rows[thin]
-        found.append(
-            fitted(scene.series[k], rest[thin], picked)
-            if picked.any()
-            else Noise.white(len(scene.recording.runs))
-        )
+        found.append(fitted(scene.series[k], rest[thin], picked) if picked.any() else Noise.white(len(scene.recording.runs)))
     return found
 
 
@@ -215,11 +207,7 @@ class SeriesFit:
 
 
 def weighed(
-    around: OperatingPoint,
-    linear: SeriesLinear,
-    noises: Sequence[Noise],
-    split: RowSplit,
-    starts: Sequence[frozenset[Key]],
+    around: OperatingPoint, linear: SeriesLinear, noises: Sequence[Noise], split: RowSplit, starts: Sequence[frozenset[Key]]
 ) -> SeriesFit:
     """The sets of effects around an operating point, weighed on the rows that decide; `starts`: sets to begin with."""
     rows = around.scene.picked(split.deciding & around.scene.kept)
@@ -231,14 +219,10 @@ def weighed(
         if not (bent := _bent_too_far(evidence, linear, found[0], around)):
             break
         barred |= bent
-    return SeriesFit(
-        around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found), rows
-    )
+    return SeriesFit(around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found), rows)
 
 
-def _bent_too_far(
-    evidence: Evidence, linear: SeriesLinear, best: Weighed, around: OperatingPoint
-) -> set[Key]:
+def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, around: OperatingPoint) -> set[Key]:
     """Names of a set that depart from their law more than real parts do: another law is behind them.
 
     Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same. How far a law departs

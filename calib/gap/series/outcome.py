@@ -64,9 +64,7 @@ def _by_channel(table: RowTable, arm: Arm, size: Callable[[ChannelRows], float])
 
 def doubts(before: Array, table: RowTable) -> Iterator[str]:
     """Hidden effects are seen in some channels; where nearly all are far off, arm and log may not belong together."""
-    sizes = [
-        float(np.sqrt(np.mean(before[cell.rows] ** 2))) for cell in table.cells if before[cell.rows].size
-    ]
+    sizes = [float(np.sqrt(np.mean(before[cell.rows] ** 2))) for cell in table.cells if before[cell.rows].size]
     if len(sizes) >= 3 and np.mean(np.array(sizes) > FAR_OFF) >= 0.9:
         yield (
             f"nearly every channel disagrees by more than {FAR_OFF:.0f} times its noise: "

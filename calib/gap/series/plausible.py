@@ -134,13 +134,7 @@ def plausible(arm: Arm, recording: RunSet) -> RunSet:
     if not (current or voltage or tip):
         what = "; ".join(said) or NOTHING
         raise UnusableLogError(f"log: nothing to compare the model with: {what}")
-    return replace(
-        recording,
-        has_current=current,
-        has_voltage=voltage,
-        has_tip=tip,
-        warnings=(*recording.warnings, *said),
-    )
+    return replace(recording, has_current=current, has_voltage=voltage, has_tip=tip, warnings=(*recording.warnings, *said))
 
 
 def _found(said: list[str], sentence: str) -> bool:
@@ -213,11 +207,7 @@ def _another_unit(arm: Arm, fits: Mapping[int, _Fit]) -> str:
     columns = ", ".join(f"i{joint}_A" for joint in known)
     if is_no_current and far < np.log(AS_UNIT):
         return f"{columns} look like {UNITS[nearest]}, not amperes: give --current-unit {nearest}; the currents are not used"
-    if (
-        len(known) > 1
-        and float(np.abs(size).min()) > np.log(WITHIN)
-        and float(np.ptp(size)) < np.log(AS_UNIT)
-    ):
+    if len(known) > 1 and float(np.abs(size).min()) > np.log(WITHIN) and float(np.ptp(size)) < np.log(AS_UNIT):
         return (
             f"{columns} are {np.exp(size.mean()):.2g} times what the motion needs, the same on all joints: another unit? See"
             " --current-unit; the currents are not used"
@@ -236,9 +226,7 @@ def _current_fits(arm: Arm, recording: RunSet) -> dict[int, _Fit]:
         for run, torque in zip(recording.runs, torques, strict=True):
             v = run.speed[:, j]
             needed = (torque[:, j] + body.rotor_kg_m2[j] * run.acceleration[:, j]) / drive.gear_ratio
-            columns = np.stack(
-                (needed / drive.torque_constant_Nm_A, run.current_A[:, j], np.sign(v), v), axis=1
-            )
+            columns = np.stack((needed / drive.torque_constant_Nm_A, run.current_A[:, j], np.sign(v), v), axis=1)
             parts.append(filters.rows(columns)[np.abs(filters.rows(v)) > MOVING_rad_s])
         expected, measured, *friction = np.concatenate(parts).T
         beside = np.linalg.qr(np.stack(friction, axis=1))[0]
@@ -262,9 +250,7 @@ def _placeholders(arm: Arm, recording: RunSet) -> str:
     if not off:
         return ""
     drives = ", ".join(str(drive.joint) for drive, _, _ in off)
-    worst, constant, resistance = max(
-        off, key=lambda one: abs(math.log(max(one[1], 1e-9) / one[0].torque_constant_Nm_A))
-    )
+    worst, constant, resistance = max(off, key=lambda one: abs(math.log(max(one[1], 1e-9) / one[0].torque_constant_Nm_A)))
     return (
         f"drives {drives}: torque_constant_Nm_A and resistance_ohm in arm.toml do not fit the voltages (drive {worst.joint}:"
         f" {worst.torque_constant_Nm_A:.3g} and {worst.resistance_ohm:.3g}; the log shows {constant:.3g} and {resistance:.3g}):"
@@ -342,12 +328,7 @@ def _wrong_tip(arm: Arm, recording: RunSet) -> str:
     far = float(np.median(np.linalg.norm(seen - expected, axis=1)))
     size = float(np.median(np.linalg.norm(seen, axis=1)))
     if size > 50.0 * reach:
-        return (
-            f"the tip is {size:.0f} m away, the arm reaches {reach:.2f} m: millimetres? The tip is not used"
-        )
+        return f"the tip is {size:.0f} m away, the arm reaches {reach:.2f} m: millimetres? The tip is not used"
     if far > FAR * reach:
-        return (
-            f"the tip is {far:.2f} m from where the angles put it: another frame, or another arm's log?"
-            " The tip is not used"
-        )
+        return f"the tip is {far:.2f} m from where the angles put it: another frame, or another arm's log? The tip is not used"
     return ""

@@ -49,10 +49,7 @@ def split(recording: RunSet, table: RowTable) -> RowSplit:
 
 def _report_groups(recording: RunSet, with_rows: set[int]) -> list[int]:
     """Places in `recording.repeats`, of groups whose runs have rows that count."""
-    speeds = [
-        float(np.mean([np.sqrt(np.mean(recording.runs[r].speed ** 2)) for r in group]))
-        for group in recording.repeats
-    ]
+    speeds = [float(np.mean([np.sqrt(np.mean(recording.runs[r].speed ** 2)) for r in group])) for group in recording.repeats]
     kinds = [_kind(recording.runs[group[0]]) for group in recording.repeats]
     most = max(1, int(REPORT_SHARE * len(speeds)))
     chosen: list[int] = []

@@ -70,10 +70,7 @@ def members(fit: SeriesFit) -> Iterator[Member]:
         ]
         mean = np.asarray(sum((weight * size[own] for weight, size, _ in found), np.zeros(1)))
         covariance = sum(
-            (
-                weight * (spread[own, own] + np.outer(size[own] - mean, size[own] - mean))
-                for weight, size, spread in found
-            ),
+            (weight * (spread[own, own] + np.outer(size[own] - mean, size[own] - mean)) for weight, size, spread in found),
             np.zeros((1, 1)),
         )
         sd = evidence.scales[number][0][scales]
@@ -92,9 +89,7 @@ def _alike(fit: SeriesFit, term: SeriesTerm, size: Array) -> Array:
     whole = size[: term.laws].copy()
     if term.laws == 1 and term.law is not None:
         law = term.law(np.eye(term.count)[0])
-        known = sum(
-            one.values[0] for one in fit.around.known if one.name == term.key and one.form is law.form
-        )
+        known = sum(one.values[0] for one in fit.around.known if one.name == term.key and one.form is law.form)
         whole[0] += known / law.values[0]
     result = np.zeros((term.count, term.count))
     for shape in term.alike:
@@ -147,9 +142,7 @@ def _harmless(fit: SeriesFit, numbers: Sequence[int], reporting: Picked) -> list
     return sound
 
 
-def dominant_names(
-    fit: SeriesFit, names: Sequence[int], corrected: Sequence[int], reporting: Picked
-) -> list[int]:
+def dominant_names(fit: SeriesFit, names: Sequence[int], corrected: Sequence[int], reporting: Picked) -> list[int]:
     """Names that explain more than is left without a name, in the channels where they show, on the runs kept apart.
 
     What has no name casts shadows: of a dozen laws of a joint one always takes a part of it. So the largest of all is known.
@@ -176,9 +169,7 @@ def dominant_names(
     return stands
 
 
-def _explained_over_remainder(
-    fit: SeriesFit, one: Member, without: Array, whole: Array, reporting: Picked
-) -> float:
+def _explained_over_remainder(fit: SeriesFit, one: Member, without: Array, whole: Array, reporting: Picked) -> float:
     """What a term explains over what is left above the noise in the channels that it moves, each as it moves them.
 
     On the rows `reporting`, or on all where it hardly moves those: they do not speak of it.
@@ -191,9 +182,7 @@ def _explained_over_remainder(
         picked = reporting[rows]
         if picked.any():
             own = columns[picked] @ one.size
-            size, other, signal = (
-                float(np.mean(part**2)) for part in (whole[rows][picked], without[rows][picked], own)
-            )
+            size, other, signal = (float(np.mean(part**2)) for part in (whole[rows][picked], without[rows][picked], own))
             explained.append(other - size)
             remains.append(max(size - 1.0, GROWS))
             moved.append(signal)
@@ -241,7 +230,5 @@ def bends(fit: SeriesFit, block: Member, names: Sequence[Member]) -> tuple[Effec
 
 def _moved(fit: SeriesFit, one: Member, count: int, cells: Collection[int]) -> float:
     """Root of the sum of squares of what a member's first columns do to the rows of cells."""
-    parts = [
-        one.term.response[cell][:, :count] @ one.size[:count] for cell in cells if cell in one.term.response
-    ]
+    parts = [one.term.response[cell][:, :count] @ one.size[:count] for cell in cells if cell in one.term.response]
     return float(np.sqrt(sum(float(part @ part) for part in parts)))

@@ -22,9 +22,7 @@ SLOPE_rad = 1e-4
 TORQUES_KEPT = 24
 INERTIA_EVERY = 25  # samples: how heavy an arm is, on the whole
 SAME_kg = 1e-6  # payloads
-LIGHTEST_kg_m2 = (
-    1e-7  # of a link: one that the file gives no inertia follows at once, and nothing is divided by nought
-)
+LIGHTEST_kg_m2 = 1e-7  # of a link: one that the file gives no inertia follows at once, and nothing is divided by nought
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +62,7 @@ class BodyTorques:
     def own_inertia(self, load: Load, joint: int) -> list[Array]:
         """What joint `joint` (0-based) turns: the mass matrix's diagonal without the rotor, (m,) of each run."""
         return [
-            self._ahead(load, run, joint, run.q, run.acceleration + np.eye(run.q.shape[1])[joint])
-            for run in self._recording.runs
+            self._ahead(load, run, joint, run.q, run.acceleration + np.eye(run.q.shape[1])[joint]) for run in self._recording.runs
         ]
 
     def windings(self) -> list[Windings]:
@@ -77,9 +74,7 @@ class BodyTorques:
         carried = [round(float(np.median(run.payload_kg)) / SAME_kg) for run in runs]
         found = {}
         for load in dict.fromkeys(carried):
-            q = np.concatenate(
-                [run.q[::INERTIA_EVERY] for run, own in zip(runs, carried, strict=True) if own == load]
-            )
+            q = np.concatenate([run.q[::INERTIA_EVERY] for run, own in zip(runs, carried, strict=True) if own == load])
             found[load] = Windings(self._inertia(q, load * SAME_kg), K, R, lag)
         return [found[load] for load in carried]
 
@@ -94,10 +89,7 @@ class BodyTorques:
     def gravity_slope(self, load: Load, joint: int) -> list[Array]:
         """How the joint's torque grows with its own angle [N m/rad], (m,) of each run."""
         step = SLOPE_rad * np.eye(self._arm.joint_count)[joint]
-        return [
-            self._ahead(load, run, joint, run.q + step, run.acceleration) / SLOPE_rad
-            for run in self._recording.runs
-        ]
+        return [self._ahead(load, run, joint, run.q + step, run.acceleration) / SLOPE_rad for run in self._recording.runs]
 
     def _ahead(self, load: Load, run: EvenRun, joint: int, q: Array, acceleration: Array) -> Array:
         """How much more torque a joint has in another motion of a run, (m,)."""

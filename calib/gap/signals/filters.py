@@ -62,9 +62,7 @@ class Filters:
         values, size = np.ascontiguousarray(values), len(self.row)
         count, (apart, *along) = (len(values) - size) // self.step + 1, values.strides
         # A view, as `sliding_window_view` gives it; that one takes longer than the product, ten thousands of times.
-        windows: Array = np.ndarray(
-            (count, *values.shape[1:], size), values.dtype, values, 0, (self.step * apart, *along, apart)
-        )
+        windows: Array = np.ndarray((count, *values.shape[1:], size), values.dtype, values, 0, (self.step * apart, *along, apart))
         return np.asarray(windows @ self.row)
 
 

@@ -102,9 +102,7 @@ class YieldingJoints:
         missing = [gear for gear in variants if (parts.load, link_friction, gear) not in self._followed_gears]
         if not missing:
             return
-        of = replace(
-            self._follower(parts.load, joint), coulomb_Nm=link_friction[0], viscous_Nm_s_rad=link_friction[1]
-        )
+        of = replace(self._follower(parts.load, joint), coulomb_Nm=link_friction[0], viscous_Nm_s_rad=link_friction[1])
         if missing[0][0].form.acts == "play":
             found = looses(of, [(max(gear[0].values[0], 0.0), share_behind(gear)) for gear in missing])
         else:
@@ -119,9 +117,7 @@ class YieldingJoints:
         if key not in self._followed_gears:
             # The slopes by its values are asked for next, and cost nothing beside it.
             neighbours = [
-                (*gear[:place], near, *gear[place + 1 :])
-                for place, term in enumerate(gear)
-                for near, _ in term.neighbours()
+                (*gear[:place], near, *gear[place + 1 :]) for place, term in enumerate(gear) for near, _ in term.neighbours()
             ]
             self._foresee(parts, [gear, *neighbours])
         return self._followed_gears[key]

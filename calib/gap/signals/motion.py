@@ -151,9 +151,7 @@ class Forward:
         return found[0], np.linalg.inv(mass + np.diag(self._own_rotor)), mass
 
 
-def begin(
-    physics: Physics, model: Sequence[Law], runs: Sequence[int], samples: Sequence[int]
-) -> ForwardState:
+def begin(physics: Physics, model: Sequence[Law], runs: Sequence[int], samples: Sequence[int]) -> ForwardState:
     """The measured states at these samples of these runs; behind elastic gears where they are simulated to be."""
     recording = physics.recording
     offsets, speeds = physics.following.beyond(model)
@@ -188,9 +186,7 @@ class MotionGap:
     after_rad: float
 
 
-def motion_gaps(
-    physics: Physics, known: Sequence[Law], model: Sequence[Law], report: Sequence[str]
-) -> dict[str, MotionGap]:
+def motion_gaps(physics: Physics, known: Sequence[Law], model: Sequence[Law], report: Sequence[str]) -> dict[str, MotionGap]:
     """By channel, OPEN and CLOSED; without voltages, or with too little to simulate, there is none of them."""
     if not physics.recording.has_voltage:
         return {}
@@ -309,9 +305,7 @@ def _gains(physics: Physics) -> tuple[Array, Array, Array] | None:
     except MissingModel:
         return None
     volts = np.array([d.resistance_ohm if d.pid.mode == "current" else 1.0 for d in arm.drives])
-    kp, ki, kd = (
-        volts * np.array(column) for column in zip(*((g.kp, g.ki, g.kd) for g in gains), strict=True)
-    )
+    kp, ki, kd = (volts * np.array(column) for column in zip(*((g.kp, g.ki, g.kd) for g in gains), strict=True))
     return kp, ki, kd
 
 

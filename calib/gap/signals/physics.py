@@ -23,15 +23,7 @@ from calib.gap.signals.body import ActingTerms, BodyTorques, is_seen_alone, sort
 from calib.gap.signals.following import YieldingJoints
 from calib.gap.signals.recording import EvenRun, RunSet
 from calib.gap.signals.staircase import Staircase, settled_shares
-from calib.gap.signals.terms import (
-    STILL,
-    Law,
-    MotorAhead,
-    angle_error,
-    joint_ahead,
-    place,
-    sampled_friction_Nm,
-)
+from calib.gap.signals.terms import STILL, Law, MotorAhead, angle_error, joint_ahead, place, sampled_friction_Nm
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
@@ -62,9 +54,7 @@ class Physics:
         self._supply = np.array([d.supply_V for d in arm.drives])
         self._period = 1.0 / recording.filters.rate_Hz
         self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
-        self._staircase = Staircase(
-            self.body.windings(), self._period, [value for value, _, _ in self._voltage]
-        )
+        self._staircase = Staircase(self.body.windings(), self._period, [value for value, _, _ in self._voltage])
         self.following = YieldingJoints(recording, self.body)
         self.tips = SeenTips(arm, recording)
         self._last_driven: tuple[tuple[Law, ...], list[tuple[Array, Array, Array]]] | None = None
@@ -81,8 +71,7 @@ class Physics:
             return _roughness(current)
         delays = np.arange(0.0, LATEST_s, 0.5 * self._period).tolist()
         return min(
-            _roughness(current - self._held(run.voltage_V, delay)[:, joint] / self.resistance_ohm[joint])
-            for delay in delays
+            _roughness(current - self._held(run.voltage_V, delay)[:, joint] / self.resistance_ohm[joint]) for delay in delays
         )
 
     def predict(self, model: Sequence[Law]) -> list[Prediction]:
@@ -91,9 +80,7 @@ class Physics:
         driven = self._driven(tuple(one for one in model if not is_seen_alone(one)))
         return [
             Prediction(current, voltage, self.tips.beside_camera(parts, run, k, offset))
-            for k, (run, (current, voltage, offset)) in enumerate(
-                zip(self.recording.runs, driven, strict=True)
-            )
+            for k, (run, (current, voltage, offset)) in enumerate(zip(self.recording.runs, driven, strict=True))
         ]
 
     def _driven(self, model: tuple[Law, ...]) -> list[tuple[Array, Array, Array]]:
@@ -118,9 +105,7 @@ class Physics:
                 link = link - torques[k] + self.body.moved(parts.load, run, *turns)
                 for term in parts.angles:
                     at, by = place(term)
-                    if (
-                        at != by and term.form.where == "behind"
-                    ):  # its motor pulls at the other joint through the belt
+                    if at != by and term.form.where == "behind":  # its motor pulls at the other joint through the belt
                         link[:, by] += term.values[0] * link[:, at]
             mechanical = self._current(parts, run, k, link, ahead)
             result.append((mechanical, self._electrical(parts, run, k, ahead), offset))
@@ -138,25 +123,19 @@ class Physics:
         measured = self._mean_current(parts, run, k, scale, ahead)
         return np.asarray(wanted / (self.torque_per_A * scale) - measured)
 
-    def _mean_current(
-        self, parts: ActingTerms, run: EvenRun, k: int, scale: Array, ahead_of: MotorAhead
-    ) -> Array:
+    def _mean_current(self, parts: ActingTerms, run: EvenRun, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
         K = self.torque_per_A * scale
         if not self.recording.has_current:
             value, slope, _ = self._voltage[k]
             held = value - (0.5 * self._period + parts.delay_s + self.lag_s) * slope
-            current = (
-                held - K * (run.speed + ahead_of.speed_rad_s - self.lag_s * run.acceleration)
-            ) / self.resistance_ohm
+            current = (held - K * (run.speed + ahead_of.speed_rad_s - self.lag_s * run.acceleration)) / self.resistance_ohm
             current += self._staircase.along("driven", parts.delay_s)[k]
             return np.where(run.is_off, 0.0, current)
         if self.recording.has_voltage:
             return np.asarray(run.current_A + self._staircase.along("mean", parts.delay_s)[k])
         held_s = self.recording.held_s
         ahead = np.where(held_s > 0.0, 0.5 * held_s - self.lag_s, 0.0) + min(parts.delay_s, 0.0)
-        return np.asarray(
-            run.current_A + ahead * (run.current_slope + K * run.acceleration / self.resistance_ohm)
-        )
+        return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self.resistance_ohm))
 
     def _electrical(self, parts: ActingTerms, run: EvenRun, k: int, ahead: MotorAhead) -> Array:
         """Sampled current expected from voltage and speed, less the measured one."""
@@ -213,8 +192,7 @@ class SeenTips:
         self._arm, self._recording = arm, recording
         self._kinematics = ForwardKinematics(arm)
         self._rigid = [
-            self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
-            for run in recording.runs
+            self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3)) for run in recording.runs
         ]
         self.jacobians = [
             self._kinematics.jacobians(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3, 0))
@@ -243,9 +221,7 @@ class SeenTips:
             return self._bent(term.name.joint or 1, parts.load.payload_kg)[k] * term.values[0]
         if term.form.acts == "geometry":
             if self._dh is None:
-                self._dh = [
-                    self._kinematics.identification_jacobian(r.q_raw[r.frames]) for r in self._recording.runs
-                ]
+                self._dh = [self._kinematics.identification_jacobian(r.q_raw[r.frames]) for r in self._recording.runs]
             return np.asarray(self._dh[k] @ np.array(term.values))
         return seen_less_far_m(run.tip_m, np.array(term.values))
 

@@ -32,9 +32,7 @@ class LinkDrive:
     inertia_kg_m2: Array
     slope_Nm_rad: Array
     period_s: float
-    speed_rad_s: Array | None = (
-        None  # of the motor; with the joint's friction, for the share of it behind the gear
-    )
+    speed_rad_s: Array | None = None  # of the motor; with the joint's friction, for the share of it behind the gear
     coulomb_Nm: float = 0.0
     viscous_Nm_s_rad: float = 0.0
 
@@ -156,8 +154,7 @@ class _Columns:
         for start in range(0, self._samples, CHUNK):
             stop = min(start + CHUNK, self._samples)
             torque, inertia, slope, motor = (
-                np.tile(_fine(values[start : stop + 1], steps)[: (stop - start) * steps], self._count)
-                for values in self._parts
+                np.tile(_fine(values[start : stop + 1], steps)[: (stop - start) * steps], self._count) for values in self._parts
             )
             yield slice(start, stop), torque, inertia, slope, motor
 

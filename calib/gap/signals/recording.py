@@ -114,9 +114,7 @@ def _long_enough(log: Log) -> tuple[list[LoggedRun], list[str]]:
     """The runs that are long enough, and a sentence about the others."""
     kept = [run for run in log.runs if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
     if not kept:
-        raise UnusableLogError(
-            f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds"
-        )
+        raise UnusableLogError(f"log: every run is shorter than {SHORTEST_s} s: expected recordings of seconds")
     short = [run.name for run in log.runs if run.t_s[-1] - run.t_s[0] < SHORTEST_s]
     return kept, [f"{_runs(short)}: shorter than {SHORTEST_s} s, not used"] if short else []
 
@@ -210,9 +208,7 @@ def _beyond(joint: int, q: Array, lower: float, upper: float) -> Iterator[str]:
     if low >= lower - margin and high <= upper + margin:
         return
     in_degrees = np.deg2rad(low) >= lower - margin and np.deg2rad(high) <= upper + margin
-    goes = (
-        f"q{joint}_rad goes from {low:.3g} to {high:.3g}, joint {joint} from {lower:.3g} to {upper:.3g} rad"
-    )
+    goes = f"q{joint}_rad goes from {low:.3g} to {high:.3g}, joint {joint} from {lower:.3g} to {upper:.3g} rad"
     remedy = "if the joint turns that far, correct joint_lower_rad and joint_upper_rad in arm.toml"
     if in_degrees and max(abs(low), abs(high)) > 4.0:
         if high - low > upper - lower:

@@ -79,9 +79,7 @@ def measured(runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], str]:
             still = [not np.ptp(run.q_rad, axis=0).max() > 0.0 for run in runs]
             told = [phase is not None for phase in phases]
             if any(told) and all(one or other for one, other in zip(told, still, strict=True)):
-                kept = tuple(
-                    run.rows(slice(phase or 0, None, factor)) for run, phase in zip(runs, phases, strict=True)
-                )
+                kept = tuple(run.rows(slice(phase or 0, None, factor)) for run, phase in zip(runs, phases, strict=True))
                 rate_Hz = 1.0 / period_of(kept)
                 return kept, (
                     f"{factor - 1} of {factor} samples {words}: the log was brought from {rate_Hz:.4g} to"

@@ -113,9 +113,7 @@ class Staircase:
         return self._kept[key]
 
 
-def _gain(
-    what: str, windings: Windings, period_s: float, delay_s: float, found: StaircaseResponse
-) -> Spectrum:
+def _gain(what: str, windings: Windings, period_s: float, delay_s: float, found: StaircaseResponse) -> Spectrum:
     """(f, n, n): of each joint to a volt on each."""
     K, R, lag = windings.torque_per_A, windings.resistance_ohm, windings.lag_s
     turned = 1j * found.omega[:, None]
@@ -125,8 +123,7 @@ def _gain(
     match what:
         case "sampled":
             first, second, third = (
-                np.array(part)
-                for part in zip(*(settled_shares(float(one), period_s, delay_s) for one in lag), strict=True)
+                np.array(part) for part in zip(*(settled_shares(float(one), period_s, delay_s) for one in lag), strict=True)
             )
             later = found.later[:, None]
             settled = later ** (1 + delay_s // period_s) * (first + later * (second + later * third))

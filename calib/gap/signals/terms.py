@@ -21,17 +21,27 @@ MEANT_FOR_Nm = 30.0  # largest torque of the drives that the sizes of torques ar
 # Where a form acts: on the torque at the motor, in the gear, between encoder and joint, on what the camera sees, on what the
 # links carry, or in the electrical equations.
 Acts = Literal[
-    "motor", "spring", "play", "angle", "beam", "geometry", "frame", "payload", "mass", "inertia", "torque constant", "delay",
-    "sampling", "sag",
-]  # fmt: skip
+    "motor",
+    "spring",
+    "play",
+    "angle",
+    "beam",
+    "geometry",
+    "frame",
+    "payload",
+    "mass",
+    "inertia",
+    "torque constant",
+    "delay",
+    "sampling",
+    "sag",
+]
 # An angle's error: misread by the encoder at the motor, arising between motor and link, or seen by the camera alone.
 Where = Literal["encoder", "behind", "seen"]
 Values = tuple[float, ...]
 # Of values, the angle (m,) that it follows and times (m,): the error, its first and second derivative, by the angle or by time.
 AngleLaw = Callable[[Values, Array, Array], tuple[Array, Array, Array]]
-Drawn = Callable[
-    [Array, Array, Array], Array
-]  # of voltages and currents (m, n) and supplies (n,): the supply's current (m, 1)
+Drawn = Callable[[Array, Array, Array], Array]  # of voltages and currents (m, n) and supplies (n,): the supply's current (m, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,9 +61,7 @@ class Form:
     upper: tuple[float, ...] = (math.inf,)
     torque: Callable[[Values, float], Torque] | None = None  # of values and cogging's order
     is_of_motor: bool = False  # the torque follows the motor's angle
-    shared: Literal["", "coulomb", "viscous"] = (
-        ""  # a friction part of which may act behind a soft or loose gear
-    )
+    shared: Literal["", "coulomb", "viscous"] = ""  # a friction part of which may act behind a soft or loose gear
     angle: AngleLaw | None = None
     where: Where = "encoder"
     is_by_time: bool = False  # the angle's error follows time
@@ -151,9 +159,7 @@ class Moving(Protocol):
         """Times."""
 
 
-def sampled_friction_Nm(
-    term: Law, run: Moving, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
-) -> Array:
+def sampled_friction_Nm(term: Law, run: Moving, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0) -> Array:
     """`friction_Nm` along a run of equal samples, without what these cannot carry.
 
     Cogging that passes faster than the samples can follow would come back as a slow torque that never was.
@@ -166,9 +172,7 @@ def sampled_friction_Nm(
     return np.asarray(torque * np.clip((FASTEST - turns) / (FASTEST - FAST), 0.0, 1.0))
 
 
-def friction_Nm(
-    term: Law, run: Moving, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
-) -> Array:
+def friction_Nm(term: Law, run: Moving, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0) -> Array:
     """Torque (m,) that the motor has to add for this term; `ahead_rad` (m,): its angle beyond what its encoder says."""
     j = term.index
     angle = (run.q[:, j] + ahead_rad) * gear_ratio if term.form.is_of_motor else run.q[:, j]

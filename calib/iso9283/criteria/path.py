@@ -15,15 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen, norms
-from calib.iso9283.criteria.pose import (
-    SIGMAS,
-    Iso9283Error,
-    above_zero,
-    direction,
-    position,
-    positions,
-    track,
-)
+from calib.iso9283.criteria.pose import SIGMAS, Iso9283Error, above_zero, direction, position, positions, track
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +44,7 @@ def calculation_points(commanded_m: npt.ArrayLike, count: int, margin: float = 0
     if length[-1] <= 0.0:
         raise Iso9283Error("commanded path: all its points are the same")
     if count < 2 or not 0.0 <= margin < 0.5:
-        raise Iso9283Error(
-            f"calculation points: expected 2 or more and a margin below 0.5, got {count}, {margin}"
-        )
+        raise Iso9283Error(f"calculation points: expected 2 or more and a margin below 0.5, got {count}, {margin}")
     at = length[-1] * np.linspace(margin, 1.0 - margin, count)
     reach = 0.5 * (at[1] - at[0])
     points, ahead, behind = (_along(line, length, at + shift) for shift in (0.0, reach, -reach))
@@ -113,9 +103,7 @@ def orientation_path_accuracy(commanded_rad: npt.ArrayLike, attained_rad: npt.Ar
     """
     wanted, attained = positions(commanded_rad, "orientation along the path"), np.asarray(attained_rad)
     if attained.ndim != 3 or attained.shape[1:] != wanted.shape or not np.isfinite(attained).all():
-        raise Iso9283Error(
-            f"orientation along the path: expected finite angles (n, {len(wanted)}, 3), got {attained.shape}"
-        )
+        raise Iso9283Error(f"orientation along the path: expected finite angles (n, {len(wanted)}, 3), got {attained.shape}")
     turned = (attained - wanted + np.pi) % (2.0 * np.pi) - np.pi
     return frozen(np.abs(turned.mean(axis=0)).max(axis=0))
 
@@ -263,10 +251,7 @@ def weaving_deviations(commanded: Weave, attained: Weave) -> tuple[float, float]
     """
     stroke = above_zero(commanded.stroke_m, "weaving, commanded stroke")
     frequency = above_zero(commanded.frequency_Hz, "weaving, commanded frequency")
-    return (
-        100.0 * abs(attained.stroke_m - stroke) / stroke,
-        100.0 * (attained.frequency_Hz - frequency) / frequency,
-    )
+    return (100.0 * abs(attained.stroke_m - stroke) / stroke, 100.0 * (attained.frequency_Hz - frequency) / frequency)
 
 
 def weave_of(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, across: npt.ArrayLike) -> Weave:
@@ -284,18 +269,13 @@ def weave_of(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, across: npt.ArrayLike)
     if len(at) < 4:
         raise Iso9283Error(f"weaving: needs at least four crossings of the middle line, got {len(at)}")
     # Crest to crest on the measured values: the tilt of the line cancels between up and down.
-    crests = np.array(
-        [swing[a + 1 + int(np.argmax(np.abs(y[a + 1 : b + 1])))] for a, b in itertools.pairwise(at)]
-    )
+    crests = np.array([swing[a + 1 + int(np.argmax(np.abs(y[a + 1 : b + 1])))] for a, b in itertools.pairwise(at)])
     strokes = np.abs(np.diff(crests))
     share = y[at] / (y[at] - y[at + 1])
     crossed_s = times[at] + share * (times[at + 1] - times[at])
     half_waves = len(at) - 1
     frequency = 0.5 * half_waves / float(crossed_s[-1] - crossed_s[0])
-    return Weave(
-        0.5 * float(strokes[::2].mean() + strokes[1::2].mean()) if len(strokes) > 1 else float(strokes[0]),
-        frequency,
-    )
+    return Weave(0.5 * float(strokes[::2].mean() + strokes[1::2].mean()) if len(strokes) > 1 else float(strokes[0]), frequency)
 
 
 def _crossings(y: Array, least: float) -> npt.NDArray[np.intp]:

@@ -34,9 +34,7 @@ def positions(values: npt.ArrayLike, what: str, least: int = 1) -> Array:
         raise Iso9283Error(f"{what}: needs at least {least} measurements, got {len(array)}")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
-        raise Iso9283Error(
-            f"{what}: measurement {bad[0] + 1} of {len(array)} is not finite: remove rows that were not measured"
-        )
+        raise Iso9283Error(f"{what}: measurement {bad[0] + 1} of {len(array)} is not finite: remove rows that were not measured")
     return array
 
 
@@ -55,9 +53,7 @@ def track(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, what: str, least: int = 2
         raise Iso9283Error(f"{what}: expected {len(tips)} finite times, got an array {times.shape}")
     if not (np.diff(times) > 0.0).all():
         at = int(np.argmax(np.diff(times) <= 0.0)) + 2
-        raise Iso9283Error(
-            f"{what}: time does not increase at sample {at}: sort it, and give one recording at a time"
-        )
+        raise Iso9283Error(f"{what}: time does not increase at sample {at}: sort it, and give one recording at a time")
     return times, tips
 
 
@@ -153,9 +149,7 @@ def multidirectional_variation(attained_by_direction_m: Sequence[npt.ArrayLike])
     vAP_p = max over h, k of |p_bar_h - p_bar_k|, h, k = 1, 2, 3: three perpendicular approach directions, each
     attained (n, 3).
     """
-    return _widest(
-        attained_by_direction_m, "multi-directional pose accuracy variation", "approach directions"
-    )
+    return _widest(attained_by_direction_m, "multi-directional pose accuracy variation", "approach directions")
 
 
 def exchangeability(attained_by_robot_m: Sequence[npt.ArrayLike]) -> float:
@@ -168,19 +162,14 @@ def exchangeability(attained_by_robot_m: Sequence[npt.ArrayLike]) -> float:
 
 
 def distance_accuracy(
-    commanded_1_m: npt.ArrayLike,
-    commanded_2_m: npt.ArrayLike,
-    attained_1_m: npt.ArrayLike,
-    attained_2_m: npt.ArrayLike,
+    commanded_1_m: npt.ArrayLike, commanded_2_m: npt.ArrayLike, attained_1_m: npt.ArrayLike, attained_2_m: npt.ArrayLike
 ) -> PoseAccuracy:
     """AD (clause 7.3): mean attained distance minus commanded distance between two poses.
 
     AD = D_bar - D_c, D_c = |p_c1 - p_c2|, D_bar = 1/n sum |p_1j - p_2j|; total_m carries the sign. Along an axis
     AD_x = D_bar_x - D_cx with D_xj = |x_1j - x_2j|, D_cx = |x_c1 - x_c2|. attained (n, 3) each, taken in pairs.
     """
-    wanted = position(commanded_1_m, "distance accuracy, commanded 1") - position(
-        commanded_2_m, "distance accuracy, commanded 2"
-    )
+    wanted = position(commanded_1_m, "distance accuracy, commanded 1") - position(commanded_2_m, "distance accuracy, commanded 2")
     difference = _differences(attained_1_m, attained_2_m, "distance accuracy", 1)
     total = float(norms(difference).mean() - np.linalg.norm(wanted))
     return PoseAccuracy(total, frozen(np.abs(difference).mean(axis=0) - np.abs(wanted)))
@@ -218,10 +207,7 @@ def _turned(reference_rad: npt.ArrayLike, attained_rad: npt.ArrayLike, what: str
 
 
 def _differences(first_m: npt.ArrayLike, second_m: npt.ArrayLike, what: str, least: int) -> Array:
-    first, second = (
-        positions(first_m, f"{what}, pose 1", least),
-        positions(second_m, f"{what}, pose 2", least),
-    )
+    first, second = (positions(first_m, f"{what}, pose 1", least), positions(second_m, f"{what}, pose 2", least))
     if len(first) != len(second):
         raise Iso9283Error(f"{what}: expected pairs, got {len(first)} and {len(second)} measurements")
     return np.asarray(first - second)
@@ -231,9 +217,7 @@ def _widest(groups_m: Sequence[npt.ArrayLike], what: str, of: str) -> float:
     """Largest distance between the barycentres of groups of positions."""
     if len(groups_m) < 2:
         raise Iso9283Error(f"{what}: needs the attained positions of at least two {of}, got {len(groups_m)}")
-    centres = [
-        positions(group, f"{what}, group {k}").mean(axis=0) for k, group in enumerate(groups_m, start=1)
-    ]
+    centres = [positions(group, f"{what}, group {k}").mean(axis=0) for k, group in enumerate(groups_m, start=1)]
     return max(float(np.linalg.norm(a - b)) for a, b in combinations(centres, 2))
 
 
@@ -265,9 +249,7 @@ def static_compliance(force_N: npt.ArrayLike, tip_m: npt.ArrayLike) -> Complianc
         raise Iso9283Error("static compliance: needs at least two different loads, got one")
     slope, _, rank, _ = np.linalg.lstsq(forces[:, loaded], tips, rcond=None)
     if rank < len(loaded):
-        raise Iso9283Error(
-            "static compliance: loads along different axes always changed together: load one axis at a time"
-        )
+        raise Iso9283Error("static compliance: loads along different axes always changed together: load one axis at a time")
     compliance, sd = np.full((3, 3), np.nan), np.full((3, 3), np.nan)
     compliance[:, loaded] = slope.T
     freedom = len(tips) - 1 - len(loaded)
@@ -284,9 +266,7 @@ def rest_position(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, rest_s: float) ->
     return np.asarray(tips[times >= times[-1] - above_zero(rest_s, "position at rest, time")].mean(axis=0))
 
 
-def stabilization_time(
-    time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.ArrayLike, band_m: float
-) -> float:
+def stabilization_time(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.ArrayLike, band_m: float) -> float:
     """T (clause 7.4): from the first crossing into the limit band until the arm stays within it, in s.
 
     Zero for an arm that enters the band and stays. The crossing is interpolated between samples.
@@ -306,13 +286,7 @@ def overshoot(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.Array
     return largest if largest > band_m else 0.0
 
 
-def posing_time(
-    time_s: npt.ArrayLike,
-    tip_m: npt.ArrayLike,
-    started_s: float,
-    attained_m: npt.ArrayLike,
-    band_m: float,
-) -> float:
+def posing_time(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, started_s: float, attained_m: npt.ArrayLike, band_m: float) -> float:
     """Minimum posing time (clause 9): from departure from rest until the arm stays within the limit band, in s.
 
     It includes the stabilization. `started_s` is when the motion was started.

@@ -102,9 +102,7 @@ def _rows_of(points: Points, names: list[str]) -> set[int]:
 
 def _plan(given: argparse.Namespace) -> CalibrationPlan:
     """The calibration plan of the options."""
-    threshold_m = (
-        options.quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
-    )
+    threshold_m = options.quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
     accuracy_m = options.quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
     if accuracy_m is not None and accuracy_m <= 0.0:
         raise CalibrationError(f"--accuracy: expected a length above 0, got {given.accuracy}")
@@ -117,12 +115,7 @@ def _plan(given: argparse.Namespace) -> CalibrationPlan:
         orientation_noise_rad=options.orientation_noise_rad(given.orientation_noise),
     )
     return CalibrationPlan(
-        choice,
-        objective_named(given.objective, threshold_m),
-        accuracy_m,
-        _leave_out(given.leave_out),
-        given.starts,
-        given.seed,
+        choice, objective_named(given.objective, threshold_m), accuracy_m, _leave_out(given.leave_out), given.starts, given.seed
     )
 
 
@@ -133,9 +126,7 @@ def _leave_out(text: str | None) -> LeaveOut:
         return "setup"
     if text.isdigit() and int(text) >= 2:
         return int(text)
-    raise CalibrationError(
-        f'--leave-out: expected "setups", or k from 2 on for every k-th point, got "{text}"'
-    )
+    raise CalibrationError(f'--leave-out: expected "setups", or k from 2 on for every k-th point, got "{text}"')
 
 
 def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[str]) -> dict[str, Path]:
@@ -180,9 +171,7 @@ def run_calibrate_distances(given: argparse.Namespace) -> int:
         fixed=options.names_in(given.fix or []),
         freed=("tool",) if given.free_tool else (),
     )
-    plan = DistancePlan(
-        choice, given.free_zero, options.wires_at(given.wire_at or []), objective_named(given.objective)
-    )
+    plan = DistancePlan(choice, given.free_zero, options.wires_at(given.wire_at or []), objective_named(given.objective))
     points, warnings = points_for(arm, [file])
     warn(warnings)
     with Bar("calibrate-distances") as bar:
@@ -219,20 +208,13 @@ def _pair_plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
             raise CalibrationError(f'--free-tool: expected some of {", ".join(names_of(arms))}, got "{name}"')
     bounds = options.bounds_of(given.bound or [])
     if bounds.own:
-        raise CalibrationError(
-            f"--bound: expected lengths=... or angles=... of both arms, got {next(iter(bounds.own))}"
-        )
+        raise CalibrationError(f"--bound: expected lengths=... or angles=... of both arms, got {next(iter(bounds.own))}")
     return PairPlan(
-        bounds=bounds,
-        fixed=options.names_in(given.fix or []),
-        free_tools=tools,
-        objective=objective_named(given.objective),
+        bounds=bounds, fixed=options.names_in(given.fix or []), free_tools=tools, objective=objective_named(given.objective)
     )
 
 
-def _calibrated_pair(
-    given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan
-) -> int:
+def _calibrated_pair(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
     out = Path(given.out)
     require_new(out, [*(f"{name}.toml" for name in names_of(arms)), "pair.json"])
     with Bar("calibrate-pair") as bar:
@@ -249,14 +231,10 @@ def _calibrated_pair(
     return 0
 
 
-def _chosen_contacts(
-    given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan
-) -> int:
+def _chosen_contacts(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
     """Print the contacts that say most about both arms."""
     if given.choose < 1:
         raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {given.choose}")
-    rows = choose_contacts(
-        arms, contacts, plan, given.choose, options.length_m(given.noise, "--noise") or NOISE_m
-    )
+    rows = choose_contacts(arms, contacts, plan, given.choose, options.length_m(given.noise, "--noise") or NOISE_m)
     sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
     return 0

@@ -68,18 +68,14 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
     """Measure the target in every picture; write markers.csv, and points.csv if the joint angles are given."""
     target, lenses = _target(given), [(Path(name), read_camera(Path(name))) for name in given.camera or []]
     if not lenses:
-        raise VisionError(
-            "camera poses: expected --camera camera.json, as `armwright camera calibrate` writes it"
-        )
+        raise VisionError("camera poses: expected --camera camera.json, as `armwright camera calibrate` writes it")
     folders = _folders(given, len(lenses))
     points = None if given.points is None else read_points(Path(given.points))[0]
     require_new(out, ["markers.csv", "points.csv"])
     with Bar("camera") as bar:
         cameras = [
             CameraPictures(
-                _name(path, folder),
-                lens,
-                targets.look_for(target, targets.picture_files(folder), CORNERS_LEAST, bar.advance),
+                _name(path, folder), lens, targets.look_for(target, targets.picture_files(folder), CORNERS_LEAST, bar.advance)
             )
             for (path, lens), folder in zip(lenses, folders, strict=True)
         ]
@@ -127,19 +123,11 @@ def _charuco(given: argparse.Namespace) -> targets.Charuco:
     if found is None:
         raise VisionError(f'--board: expected columns x rows of squares, such as 5x7, got "{given.board}"')
     if given.square is None:
-        raise VisionError(
-            "--board: give the edge of a square as measured on the print with --square, e.g. --square 30mm"
-        )
+        raise VisionError("--board: give the edge of a square as measured on the print with --square, e.g. --square 30mm")
     square_m = quantity(given.square, "m", "--square")
-    marker_m = (
-        quantity(given.marker, "m", "--marker")
-        if given.marker is not None
-        else targets.MARKER_SHARE * square_m
-    )
+    marker_m = quantity(given.marker, "m", "--marker") if given.marker is not None else targets.MARKER_SHARE * square_m
     columns, rows = int(found[1]), int(found[2])
-    return targets.Charuco(
-        columns, rows, square_m, marker_m, given.dictionary or targets.BOARD_DICTIONARY, given.legacy
-    )
+    return targets.Charuco(columns, rows, square_m, marker_m, given.dictionary or targets.BOARD_DICTIONARY, given.legacy)
 
 
 def _folders(given: argparse.Namespace, count: int) -> list[Path]:

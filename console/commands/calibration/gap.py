@@ -40,25 +40,13 @@ def run(given: argparse.Namespace) -> int:
         require_writable(Path(given.out))
     if given.record:
         return _record(given, arm, without)
-    for name in (
-        "mock",
-        "plan_only",
-        "record_only",
-        "quick",
-        "minutes",
-        "payload",
-        "only",
-        "scenario",
-        "seed",
-    ):
+    for name in ("mock", "plan_only", "record_only", "quick", "minutes", "payload", "only", "scenario", "seed"):
         if getattr(given, name) is not None and getattr(given, name) is not False:
             raise CalibrationError(f"--{name.replace('_', '-')} needs --record")
     return _look(given, arm, given.points or [], given.log or [], without)
 
 
-def _look(
-    given: argparse.Namespace, arm: Arm, points: list[str], logs: list[str], without: tuple[str, ...]
-) -> int:
+def _look(given: argparse.Namespace, arm: Arm, points: list[str], logs: list[str], without: tuple[str, ...]) -> int:
     record, out = record_of(given, "gap", arm.name), Path(given.out)
     recordings = read_recordings(arm, points, logs, given.current_unit, given.as_given)
     with Bar("gap") as bar:
@@ -88,9 +76,7 @@ def _record(given: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> in
 
     _require_recording_options(given)
     payload_kg = _payload_kg(given, arm)
-    request = PlanRequest(
-        given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes
-    )
+    request = PlanRequest(given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes)
     plan = recording_plan(arm, request, 1.0 if given.mock else REAL_SPEED)
     if given.plan_only:
         sys.stdout.write("".join(f"{line}\n" for line in foresight.in_words(arm, plan, payload_kg)))
@@ -133,9 +119,7 @@ def _require_recording_options(given: argparse.Namespace) -> None:
     if given.points or given.log:
         raise CalibrationError("--record makes its own recordings: omit --points and --log")
     if given.minutes is not None and not 0.0 < given.minutes <= MINUTES_MOST:
-        raise CalibrationError(
-            f"--minutes: expected a number above 0 and up to {MINUTES_MOST:g}, got {given.minutes:g}"
-        )
+        raise CalibrationError(f"--minutes: expected a number above 0 and up to {MINUTES_MOST:g}, got {given.minutes:g}")
     if given.payload is not None and not 0.0 <= given.payload <= 20.0:
         raise CalibrationError(f"--payload: expected a mass from 0 to 20 kg, got {given.payload:g}")
     if (given.scenario or given.seed is not None) and not given.mock:
@@ -158,9 +142,7 @@ def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", ou
             raise
 
 
-def recorded(
-    given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, mocked: Arm, what: str
-) -> None:
+def recorded(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, mocked: Arm, what: str) -> None:
     """Record on the arm, or on a mock of `mocked`; where it ends early, the operator is told how it goes on."""
     from procedures.tour import telling_where
 

@@ -14,15 +14,7 @@ from calib.arrays import Array, norms
 from calib.boards import Registration, markers_text, read_markers, register_boards, write_boards
 from calib.capture.alignment import Alignment, JointMotion, align
 from calib.capture.poses import Rested, believed, board_markers, poses_at_rest
-from calib.capture.tracks import (
-    BodyTrack,
-    Capture,
-    CaptureError,
-    placed_m,
-    read_c3d,
-    read_vicon_csv,
-    relative,
-)
+from calib.capture.tracks import BodyTrack, Capture, CaptureError, placed_m, read_c3d, read_vicon_csv, relative
 from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.spreadsheet import ANGLES, LENGTHS, Unclear, Understood, read_sheet, understood
@@ -55,10 +47,7 @@ def run_import_points(given: argparse.Namespace) -> int:
     line += [*(["--columns", *named] if named else []), *(["--angles", given.angles] if given.angles else [])]
     line += ["--lengths", given.lengths] if given.lengths else []
     rows = file.read_text(encoding="utf-8").splitlines()[: SHOWN + 1]
-    sys.stdout.write(
-        "\n".join([*found.in_words, "", *rows, "...", f"written: {file}", "Again: " + shlex.join(line)])
-        + "\n"
-    )
+    sys.stdout.write("\n".join([*found.in_words, "", *rows, "...", f"written: {file}", "Again: " + shlex.join(line)]) + "\n")
     return 0
 
 
@@ -94,23 +83,17 @@ def run_import_capture(given: argparse.Namespace) -> int:
 def _markers(given: argparse.Namespace, arm: Arm, file: Path) -> int:
     """Markers in the board's cavities, in the base frame."""
     if given.log or given.body or given.run or given.json:
-        raise CaptureError(
-            "--board-markers: the arm need not move: leave --log, --body, --run and --json out"
-        )
+        raise CaptureError("--board-markers: the arm need not move: leave --log, --body, --run and --json out")
     found = board_markers(arm, _read(Path(given.file)), given.board_markers, given.base_body or "")
     write_whole(file, markers_text(found))
-    sys.stdout.write(
-        f"{len(found)} markers of setup {given.board_markers}, in the base frame\nwritten: {file}\n"
-    )
+    sys.stdout.write(f"{len(found)} markers of setup {given.board_markers}, in the base frame\nwritten: {file}\n")
     return 0
 
 
 def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
     """Read both recordings, align them, write a point for each rest."""
     if not given.log or not given.body:
-        raise CaptureError(
-            "expected --log, the arm's log.csv, and --body, what is followed; or --board-markers"
-        )
+        raise CaptureError("expected --log, the arm's log.csv, and --body, what is followed; or --board-markers")
     log, _ = read_log(Path(given.log), arm.joint_count)
     JointMotion.of(log, given.run)  # refuses what has no common clock
     log, of_clock = on_one_clock(arm, log, given.run)
@@ -165,9 +148,7 @@ def _read(path: Path) -> Capture:
 def _followed(capture: Capture, name: str, base: str | None) -> tuple[BodyTrack, tuple[str, ...]]:
     """The body, relative to the one on the base if there is one; frames in which one of them had leapt are not used."""
     wanted = {one: capture.body(one) for one in (name, base) if one is not None}
-    bodies, said = believed(
-        capture, {**{k: v for k, v in capture.bodies.items() if k not in wanted}, **wanted}
-    )
+    bodies, said = believed(capture, {**{k: v for k, v in capture.bodies.items() if k not in wanted}, **wanted})
     return (bodies[name] if base is None else relative(bodies[name], bodies[base])), said
 
 

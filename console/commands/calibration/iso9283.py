@@ -15,15 +15,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import require_writable
-from procedures.iso9283 import (
-    Planned,
-    RecordedFiles,
-    evaluate_files,
-    largest_load_kg,
-    plan,
-    rated_speed_m_s,
-    record,
-)
+from procedures.iso9283 import Planned, RecordedFiles, evaluate_files, largest_load_kg, plan, rated_speed_m_s, record
 from procedures.tour import bench_of, telling_where
 
 FULL = Extent()

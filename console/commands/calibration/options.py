@@ -14,25 +14,14 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-from calib.ageing import (
-    FORMAT,
-    Entry,
-    GeometryRecord,
-    Quantity,
-    append_entry,
-    measured_at,
-    require_appendable,
-)
+from calib.ageing import FORMAT, Entry, GeometryRecord, Quantity, append_entry, measured_at, require_appendable
 from calib.arm_problem.arm_model import Bounds
 from calib.arm_problem.frames import Frame
 from calib.boards import read_boards
 from calib.errors import CalibrationError
 from control.errors import ArmError
 
-UNITS = {
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
-}
+UNITS = {"m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}, "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}}
 MOST_NOISE_rad = 0.05
 
 
@@ -49,9 +38,7 @@ def quantity(text: str, unit: str, what: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         comma = "; write a decimal point, not a comma" if "," in text else ""
-        raise ArmError(
-            f'{what}: expected a number with one of the units {", ".join(UNITS[unit])}, got "{text}"{comma}'
-        )
+        raise ArmError(f'{what}: expected a number with one of the units {", ".join(UNITS[unit])}, got "{text}"{comma}')
     return value
 
 
@@ -71,9 +58,7 @@ def orientation_noise_rad(text: str | None) -> float | None:
         return None
     value = quantity(text, "rad", "--orientation-noise")
     if not 0.0 < value <= MOST_NOISE_rad:
-        raise ArmError(
-            f"--orientation-noise: expected an angle above 0, up to {MOST_NOISE_rad} rad, got {text}"
-        )
+        raise ArmError(f"--orientation-noise: expected an angle above 0, up to {MOST_NOISE_rad} rad, got {text}")
     return value
 
 
@@ -97,14 +82,10 @@ def bounds_of(texts: list[str]) -> Bounds:
     for text in names_in(texts):
         name, _, value = text.partition("=")
         if not value:
-            raise CalibrationError(
-                f'--bound: expected NAME=VALUE such as L2=8mm or angles=3deg, got "{text}"'
-            )
+            raise CalibrationError(f'--bound: expected NAME=VALUE such as L2=8mm or angles=3deg, got "{text}"')
         if name in ("lengths", "angles"):
             unit = "m" if name == "lengths" else "rad"
-            general["length_m" if name == "lengths" else "angle_rad"] = quantity(
-                value, unit, f"--bound {name}"
-            )
+            general["length_m" if name == "lengths" else "angle_rad"] = quantity(value, unit, f"--bound {name}")
         else:
             own[name] = quantity(value, unit_of(name), f"--bound {name}")
     return Bounds(own=own, **general)
@@ -120,9 +101,7 @@ def wires_at(texts: list[str]) -> dict[str, tuple[float, float, float]]:
         except ValueError:
             x = y = z = math.nan
         if not name or not math.hypot(x, y, z) <= FARTHEST_m:
-            raise CalibrationError(
-                f'--wire-at: expected NAME=X,Y,Z in m, such as A=0.9,-0.5,0.1, got "{text}"'
-            )
+            raise CalibrationError(f'--wire-at: expected NAME=X,Y,Z in m, such as A=0.9,-0.5,0.1, got "{text}"')
         found[name] = (x, y, z)
     return found
 
@@ -131,10 +110,7 @@ def board_frames(file: str | None) -> dict[str, Frame]:
     """Board poses by setup from boards.json of `armwright register`; none without a file."""
     if file is None:
         return {}
-    return {
-        setup: Frame(f"table_{setup}", board.rotation, board.origin_m)
-        for setup, board in read_boards(Path(file)).items()
-    }
+    return {setup: Frame(f"table_{setup}", board.rotation, board.origin_m) for setup, board in read_boards(Path(file)).items()}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -147,25 +123,12 @@ class HistoryRecord:
     arm: str
 
     def append(
-        self,
-        inputs: Mapping[str, str],
-        geometry: GeometryRecord | None = None,
-        quantities: Mapping[str, Quantity] | None = None,
+        self, inputs: Mapping[str, str], geometry: GeometryRecord | None = None, quantities: Mapping[str, Quantity] | None = None
     ) -> None:
         """Write the line, after the command's own results."""
         program = f"armwright {version('armwright')}"
         append_entry(
-            self.path,
-            Entry(
-                FORMAT,
-                self.measured,
-                self.by,
-                self.arm,
-                program,
-                dict(inputs),
-                geometry,
-                dict(quantities or {}),
-            ),
+            self.path, Entry(FORMAT, self.measured, self.by, self.arm, program, dict(inputs), geometry, dict(quantities or {}))
         )
 
 

@@ -75,9 +75,7 @@ def _setups(text: str | None) -> tuple[str, ...] | None:
         return None
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     if not names:
-        raise CalibrationError(
-            f'--setups: expected names separated by commas, such as normal,roll; got "{text}"'
-        )
+        raise CalibrationError(f'--setups: expected names separated by commas, such as normal,roll; got "{text}"')
     return names
 
 
@@ -103,13 +101,8 @@ def described(plan: Plan, arm: str) -> str:
     """The plan as text: candidates, gain of each pose, alternatives, remarks."""
     candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
     head = ("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "weakest")
-    poses = [
-        (pose.setup, pose.point, str(pose.visit), f"+{pose.gain:.2f}", *_figures(pose.after))
-        for pose in plan.poses
-    ]
-    others = [
-        (one.setup, str(one.count), "", f"+{one.gain:.2f}", *_figures(one.after)) for one in plan.alternatives
-    ]
+    poses = [(pose.setup, pose.point, str(pose.visit), f"+{pose.gain:.2f}", *_figures(pose.after)) for pose in plan.poses]
+    others = [(one.setup, str(one.count), "", f"+{one.gain:.2f}", *_figures(one.after)) for one in plan.alternatives]
     return "\n".join(
         [
             f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"
@@ -147,42 +140,28 @@ def run_plan_path(given: argparse.Namespace) -> int:
     require_new(out, path_files.RESULTS)
     freedom, wanted_m = _freedom(given), length_m(given.tolerance, "--tolerance")
     waypoints = read_waypoints(given.file)
-    points, warnings = base_points_for(
-        arm, [Path(name) for name in given.points], "plan-path", given.as_given
-    )
-    request = MapRequest(
-        (freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(given.boards))
-    )
+    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "plan-path", given.as_given)
+    request = MapRequest((freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(given.boards)))
     plan: path_files.Plan
     with Bar("plan-path") as bar:
         trust = trust_in(arm, points, request, lambda what, done: bar.advance(what, PREDICTED * done))
         planner = planned_stops if given.stops else planned_path
         plan = planner(
-            arm,
-            trust.predictor,
-            waypoints,
-            freedom,
-            lambda what, done: bar.advance(what, PREDICTED + (1.0 - PREDICTED) * done),
+            arm, trust.predictor, waypoints, freedom, lambda what, done: bar.advance(what, PREDICTED + (1.0 - PREDICTED) * done)
         )
     warn((*warnings, *trust.warnings))
     tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
     points_files = (input_file(Path(name), "points") for name in given.points)
-    path_files.write_plan(
-        out, plan, tasks, made_today(input_file(Path(given.file), "way-points"), *points_files)
-    )
+    path_files.write_plan(out, plan, tasks, made_today(input_file(Path(given.file), "way-points"), *points_files))
     run_it = f"run it           armwright script {out / 'script.txt'}"
-    answer(
-        given, path_files.plan_json(plan, tasks), "\n".join((*path_files.sentences(plan, tasks), "", run_it))
-    )
+    answer(given, path_files.plan_json(plan, tasks), "\n".join((*path_files.sentences(plan, tasks), "", run_it)))
     return 0
 
 
 def _freedom(given: argparse.Namespace) -> Freedom:
     x, y, z = given.shift or (0.0, 0.0, 0.0)
     if not all(0.0 <= half <= FARTHEST_m for half in (x, y, z)):
-        raise CalibrationError(
-            f"--shift: expected 0 to {FARTHEST_m:g} m along x, y and z, got {x:g} {y:g} {z:g}"
-        )
+        raise CalibrationError(f"--shift: expected 0 to {FARTHEST_m:g} m along x, y and z, got {x:g} {y:g} {z:g}")
     payload_kg = given.payload or 0.0
     if payload_kg < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
@@ -192,9 +171,7 @@ def _freedom(given: argparse.Namespace) -> Freedom:
 def _tasks(predictor: Predictor, plan: path_files.Plan, wanted_m: float) -> tuple[Reliability, Reliability]:
     """The probability that all of it is kept, as given and as planned."""
     if isinstance(plan, StopsPlan):
-        given, planned = (
-            TaskPath(np.arange(float(len(way.poses))), way.poses) for way in (plan.plain, plan.chosen)
-        )
+        given, planned = (TaskPath(np.arange(float(len(way.poses))), way.poses) for way in (plan.plain, plan.chosen))
     else:
         given, planned = plan.plain.motion, plan.chosen.motion
     return reliability_of(predictor, given, wanted_m), reliability_of(predictor, planned, wanted_m)

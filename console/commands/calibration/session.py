@@ -17,15 +17,7 @@ from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
 from procedures.ports import RuntimePort
 from procedures.session.mock_session import SCENARIO, arm_station, mock_session
-from procedures.session.operator import (
-    SPEED,
-    BoardWords,
-    Interface,
-    last_s,
-    ready,
-    require_same,
-    since_start_s,
-)
+from procedures.session.operator import SPEED, BoardWords, Interface, last_s, ready, require_same, since_start_s
 from procedures.session.planning import plan_from_options
 
 

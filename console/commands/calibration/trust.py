@@ -93,10 +93,7 @@ NOT_OURS = ("task", "visits", "boards")
 DESIGN_RESULTS = ("tolerances.json", "map.npz", "report.html")
 CHUNKS = "unfinished"  # results of tasks, in --out until the study ends
 ARMS = 2000
-ARMS_LEAST, ARMS_MOST = (
-    20,
-    10_000_000,
-)  # below: no percentiles; above: the result of each arm no longer fits in memory
+ARMS_LEAST, ARMS_MOST = (20, 10_000_000)  # below: no percentiles; above: the result of each arm no longer fits in memory
 
 
 def study_design(given: argparse.Namespace) -> int:
@@ -151,9 +148,7 @@ def _design(given: argparse.Namespace, arm: Arm, text: str) -> StudyDesign:
 
 def _about(design: StudyDesign, inputs: dict[str, str]) -> dict[str, object]:
     """Everything that the results of the tasks depend on."""
-    poses = [
-        _hash(repr((at.q_rad.tolist(), at.payload_kg.tolist()))) for at in (design.calibration, design.map)
-    ]
+    poses = [_hash(repr((at.q_rad.tolist(), at.payload_kg.tolist()))) for at in (design.calibration, design.map)]
     return {
         "program_version": version("armwright"),
         "inputs": inputs,

@@ -23,16 +23,7 @@ from control.server.client import ArmClient
 from procedures.folders import require_empty
 from procedures.ports import camera_said
 from procedures.verify.procedure import SurveyPair, driven, on_recorded, write
-from procedures.verify.survey import (
-    Model,
-    ModelPair,
-    Programme,
-    active_model,
-    nominal_of,
-    places,
-    wait_until_recorded,
-    ways,
-)
+from procedures.verify.survey import Model, ModelPair, Programme, active_model, nominal_of, places, wait_until_recorded, ways
 
 REAL_SPEED = 0.5  # of a real arm's joint limits
 
@@ -55,9 +46,7 @@ def run(given: argparse.Namespace) -> int:
     require_empty(out)
     if given.points is not None:
         pair = _framed(pair, given)
-        recorded = on_recorded(
-            pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []), given.as_given
-        )
+        recorded = on_recorded(pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []), given.as_given)
         return _finish(given, recorded, out)
     if given.free_zero or given.wire_at:
         raise ArmError("--wire-at and --free-zero are for lengths: give them with --points")
@@ -73,10 +62,7 @@ def run(given: argparse.Namespace) -> int:
                 drive.run(bench.runtime_model, bench.client, bench.speed, bar.advance)
             recording = bench.end()
             verification = driven(pair, drive, *drive.results(recording, out))
-        except (
-            ArmError,
-            CalibrationError,
-        ) as error:  # something has moved: not the exit status 2 of wrong input
+        except (ArmError, CalibrationError) as error:  # something has moved: not the exit status 2 of wrong input
             sys.stderr.write(f"armwright: {error}\n  the measurements are in {out}\n")
             return 1
     return _finish(given, verification, out)
@@ -87,11 +73,7 @@ def _framed(pair: ModelPair, given: argparse.Namespace) -> ModelPair:
     if given.free and given.fix:
         raise ArmError("the base frame cannot be both fixed and free: omit one of the two")
     said = without_base if given.free else with_own_base if given.fix else None
-    return (
-        pair
-        if said is None
-        else ModelPair(*(Model(said(one.arm)) for one in (pair.nominal, pair.calibrated)))
-    )
+    return pair if said is None else ModelPair(*(Model(said(one.arm)) for one in (pair.nominal, pair.calibrated)))
 
 
 def _programme(given: argparse.Namespace, arm: Arm) -> Programme:
@@ -120,9 +102,7 @@ def _real(given: argparse.Namespace, pair: ModelPair) -> ArmAtHold:
         raise ArmError(f"no tip from the camera{camera_said(client)}: verification needs it (docs/camera.md)")
     recording = Path(status["recording"])
     if not recording.is_file():
-        raise ArmError(
-            f"{recording}: not found; run this command in the folder where `armwright serve` was started"
-        )
+        raise ArmError(f"{recording}: not found; run this command in the folder where `armwright serve` was started")
 
     def end() -> Path:
         wait_until_recorded(recording, float(client.status()["t_s"]), client.wait)

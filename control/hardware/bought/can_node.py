@@ -60,9 +60,7 @@ class BusLine:
 class NodeEncoder(AskedEncoders):
     """The encoder of a board, whose zero is kept here; meets `control.hardware.roles.Encoders`."""
 
-    def __init__(
-        self, board: CountingNode, joint: int, is_absolute: bool = False, is_asked: bool = False
-    ) -> None:
+    def __init__(self, board: CountingNode, joint: int, is_absolute: bool = False, is_asked: bool = False) -> None:
         """`is_absolute`: its count at power-up is the joint's, so that its zero is always known."""
         self.joints = (joint,)
         self.is_asked = is_asked
@@ -184,9 +182,15 @@ class NodeDrive(ABC):
 
 
 def open_nodes(
-    arm: Arm, boards: Sequence[Board], clock: Clock, opened: Opened, called: str,
-    open_link: Callable[..., FrameLink], make: Callable[[FrameLink, Clock], B], open_one: Callable[[B, Board, int, Drive], None],
-) -> None:  # fmt: skip
+    arm: Arm,
+    boards: Sequence[Board],
+    clock: Clock,
+    opened: Opened,
+    called: str,
+    open_link: Callable[..., FrameLink],
+    make: Callable[[FrameLink, Clock], B],
+    open_one: Callable[[B, Board, int, Drive], None],
+) -> None:
     """Open the bus of [can] for a kind of boards, `called` so in messages, and one board after the other.
 
     `open_one` is given its joint (0-based) and drive. Failures are noted in `opened`; without a bus no board is looked for.
@@ -209,7 +213,7 @@ def open_nodes(
 
 def own_encoder(
     board: CountingNode, joint: int, drive: Drive, opened: Opened, is_absolute: bool = False, is_asked: bool = False
-) -> NodeEncoder | None:  # fmt: skip
+) -> NodeEncoder | None:
     """The board's own encoder, added to `opened`; None if the drive names an encoder board's."""
     if drive.encoder_board >= 0:
         return None
@@ -249,7 +253,7 @@ class PositionLoopDrive(NodeDrive):
 
     def __init__(
         self, board: CanNode, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
         super().__init__(board, encoder, joint, drive)
         self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
@@ -278,9 +282,13 @@ class PositionLoopDrive(NodeDrive):
         """Command nothing: what the board does then, in operation and out of it."""
 
     def write(
-        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: words.Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Set the command of this cycle."""
         joint = self._joint
         feedback.sent_V[joint] = math.nan

@@ -76,9 +76,15 @@ class Cia402Joint:
     """One drive; meets `control.hardware.roles.Drives`."""
 
     def __init__(
-        self, drive: Cia402Drive, encoder: NodeEncoder, joint: int, described: Drive, period_s: float,
-        watchdog_s: float, sync: Callable[[], None],
-    ) -> None:  # fmt: skip
+        self,
+        drive: Cia402Drive,
+        encoder: NodeEncoder,
+        joint: int,
+        described: Drive,
+        period_s: float,
+        watchdog_s: float,
+        sync: Callable[[], None],
+    ) -> None:
         """`sync` sends SYNC, with which a set-point takes effect."""
         self.joints = (joint,)
         self._joint, self._drive, self._encoder = joint, drive, encoder
@@ -114,9 +120,13 @@ class Cia402Joint:
         return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), words.OWN_ENCODER)
 
     def write(
-        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: words.Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Send the set-point, or the next step towards the wanted state."""
         drive, joint = self._drive, self._joint
         drive.ask_supply()
@@ -267,7 +277,7 @@ def _doubts(node: Cia402Drive) -> str:
 
 def _open_drive(
     bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, limits: Limits, opened: Opened
-) -> None:  # fmt: skip
+) -> None:
     node = Cia402Drive(bus, described.address, described.name)
     identity = node.identify()
     if identity.profile != PROFILE:

@@ -52,10 +52,11 @@ SETTINGS: Final = (
     RequiredSetting("servo.bemf_feedforward", lambda share, _: share == 0, "0 (else it asks for a limit of acceleration)"),
     RequiredSetting("servo.max_current_A", _reaches, "current_limit_A or more"),
     RequiredSetting(
-        "aux1.pins.0.mode", lambda mode, drive: drive.home is None or mode == _DIGITAL_INPUT,
+        "aux1.pins.0.mode",
+        lambda mode, drive: drive.home is None or mode == _DIGITAL_INPUT,
         f"{_DIGITAL_INPUT} (the home switch)",
     ),
-)  # fmt: skip
+)
 # Torque constant times Kv, N m/A and rpm/V between two phases: moteus' currents are amplitudes of a phase.
 KT_Kv: Final = 60.0 / (2.0 * math.pi) * math.sqrt(3.0) / 2.0
 ALIKE: Final = 1.1  # below the 1.155 by which the constant of other makers' currents is off
@@ -79,13 +80,9 @@ def _require_settings(board: Moteus, drive: Drive) -> str:
     given_Nm_A, kv_of_joint = drive.torque_constant_Nm_A, kv * turns
     its_own_Nm_A = KT_Kv / kv_of_joint if kv_of_joint and math.isfinite(kv_of_joint) else math.nan
     if max(given_Nm_A / its_own_Nm_A, its_own_Nm_A / given_Nm_A) > ALIKE:
-        wrong.append(
-            f"its motor.Kv {kv:g} makes {its_own_Nm_A:.3g} N m/A, torque_constant_Nm_A is {given_Nm_A:g}"
-        )
+        wrong.append(f"its motor.Kv {kv:g} makes {its_own_Nm_A:.3g} N m/A, torque_constant_Nm_A is {given_Nm_A:g}")
     if wrong:
-        raise WrongIdentity(
-            f"{board.where}: {'; '.join(wrong)}: correct it in tview (then `conf write`) or in arm.toml"
-        )
+        raise WrongIdentity(f"{board.where}: {'; '.join(wrong)}: correct it in tview (then `conf write`) or in arm.toml")
     unknown = [setting.name for setting, value in found.items() if math.isnan(value)]
     return f"; it does not say {', '.join(unknown)}" if unknown else ""
 
@@ -94,9 +91,15 @@ class MoteusDrive(PositionLoopDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
     def __init__(
-        self, board: Moteus, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float,
+        self,
+        board: Moteus,
+        encoder: NodeEncoder | None,
+        joint: int,
+        drive: Drive,
+        clock: Clock,
+        period_s: float,
         watchdog_s: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
         super().__init__(board, encoder, joint, drive, clock, period_s)
         self._board = board
@@ -123,9 +126,13 @@ class MoteusDrive(PositionLoopDrive):
         return self._board.is_driving or self._board.mode == MoteusMode.TIMEOUT
 
     def write(
-        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: words.Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Set the command of this cycle; a hold that its time-out began ends by a stop alone."""
         super().write(wanted, modes, output, feedforward_V, feedback)
         self._was_found_driving = wanted is words.Wanted.AS_FOUND and self._board.is_driving
@@ -176,9 +183,7 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
         said = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
         unsaid = _require_settings(board, drive)
         encoder = own_encoder(board, joint, drive, opened, is_absolute, is_asked=True)
-        opened.drives.append(
-            MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s)
-        )
+        opened.drives.append(MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s))
         opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V{unsaid}"))
 
     open_nodes(arm, boards, clock, opened, "moteus controllers", open_fd_can, MoteusBus, open_one)

@@ -19,19 +19,13 @@ from firmware_iface.odrive.wire import Error
 
 # Errors of an axis as the loop's faults; the rest concerns its encoder, its settings or itself.
 _OVER_CURRENT: Final = (
-    Error.DC_BUS_OVER_CURRENT
-    | Error.DC_BUS_OVER_REGEN_CURRENT
-    | Error.CURRENT_LIMIT_VIOLATION
-    | Error.DRV_FAULT
+    Error.DC_BUS_OVER_CURRENT | Error.DC_BUS_OVER_REGEN_CURRENT | Error.CURRENT_LIMIT_VIOLATION | Error.DRV_FAULT
 )
 _FAULT_OF: Final = (
     (Error.DC_BUS_OVER_VOLTAGE | Error.BRAKE_RESISTOR_DISARMED, words.SUPPLY_HIGH),
     (Error.DC_BUS_UNDER_VOLTAGE, words.SUPPLY_LOW),
     (_OVER_CURRENT, words.OVER_CURRENT),
-    (
-        Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED,
-        words.OVER_TEMPERATURE,
-    ),
+    (Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED, words.OVER_TEMPERATURE),
     (Error.WATCHDOG_TIMER_EXPIRED, words.WATCHDOG),
     (Error.ESTOP_REQUESTED, words.EMERGENCY_STOP),
 )
@@ -43,7 +37,7 @@ class OdriveDrive(PositionLoopDrive):
 
     def __init__(
         self, axis: OdriveAxis, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
         super().__init__(axis, encoder, joint, drive, clock, period_s)
         self._axis = axis

@@ -43,9 +43,7 @@ _SWITCH = (RoboclawStatus.S4_TRIGGERED, RoboclawStatus.S5_TRIGGERED)
 # Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
 CYCLE_BYTES = 37
 QUESTIONS = 4
-_RATED = re.compile(
-    r"\d+x(\d+)A"
-)  # in its version: motors and continuous current, as in "RoboClaw 2x15A v4.3.6"
+_RATED = re.compile(r"\d+x(\d+)A")  # in its version: motors and continuous current, as in "RoboClaw 2x15A v4.3.6"
 PEAK_OF_RATED = 2.0  # at most, by the boards' data sheets: 1.25 to 2 by model
 
 
@@ -81,9 +79,7 @@ class RoboClawEncoders(AskedEncoders):
             feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
             feedback.count_late_s[joint] = board.count_late_s
             flags = words.ZERO_SET if self._are_zeros_set[joint] else 0
-            feedback.channel_flags[joint] = flags | (
-                self._switch_flags[joint] if status & _SWITCH[channel] else 0
-            )
+            feedback.channel_flags[joint] = flags | (self._switch_flags[joint] if status & _SWITCH[channel] else 0)
 
     def fresh_count(self, joint: int) -> int:
         """The count now. BoardSilent if there is no answer."""
@@ -107,15 +103,11 @@ class RoboClawEncoders(AskedEncoders):
 class RoboClawDrives:
     """The motors of one board; meets `control.hardware.roles.Drives`."""
 
-    def __init__(
-        self, board: RoboClaw, drives: Mapping[int, Drive], timeout_s: float, shout: Callable[[bytes], None]
-    ) -> None:
+    def __init__(self, board: RoboClaw, drives: Mapping[int, Drive], timeout_s: float, shout: Callable[[bytes], None]) -> None:
         """`drives`: of each joint (0-based); `timeout_s`: of the board; `shout` sends a packet at once."""
         self.joints = tuple(drives)
         self._board = board
-        self._drives = tuple(
-            (joint, drive.board_channel - 1, float(drive.motor_direction)) for joint, drive in drives.items()
-        )
+        self._drives = tuple((joint, drive.board_channel - 1, float(drive.motor_direction)) for joint, drive in drives.items())
         self._limit_sides = [0.0] * CHANNELS
         for drive in drives.values():
             self._limit_sides[drive.board_channel - 1] = _limit_side(drive)
@@ -132,9 +124,7 @@ class RoboClawDrives:
         if status is not None and status & wire.ERRORS:
             for channel in range(CHANNELS):
                 self._faults[channel] |= _faults(status, channel)
-        replied_at_s = (
-            min(board.obeyed_at_s, board.currents_at_s) if board.is_commanded else board.currents_at_s
-        )
+        replied_at_s = min(board.obeyed_at_s, board.currents_at_s) if board.is_commanded else board.currents_at_s
         for joint, channel, sign in self._drives:
             feedback.reply_at_s[joint] = replied_at_s
             if status is None or board.supply_V is None:
@@ -154,9 +144,13 @@ class RoboClawDrives:
         return state | (words.WARNING if status & _LIMITS_CURRENT[channel] else 0)
 
     def write(
-        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: words.Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Set the duties; everything but a voltage is 0: the windings are shorted."""
         board = self._board
         is_well = board.supply_V is not None and self._configured_resets == board.resets
@@ -190,12 +184,8 @@ class RoboClawDrives:
         """Forget the errors that are gone. Raises BoardFaulted for those that are not."""
         status = self._board.read_status()
         if status & wire.ERRORS:
-            names = ", ".join(
-                str(one.name).replace("_", " ").lower() for one in RoboclawStatus(status & wire.ERRORS)
-            )
-            raise BoardFaulted(
-                f"{self._board.where}: its error ({names}) cannot be acknowledged: the cause persists"
-            )
+            names = ", ".join(str(one.name).replace("_", " ").lower() for one in RoboclawStatus(status & wire.ERRORS))
+            raise BoardFaulted(f"{self._board.where}: its error ({names}) cannot be acknowledged: the cause persists")
         self._faults = [0] * CHANNELS
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:

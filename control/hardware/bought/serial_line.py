@@ -25,9 +25,7 @@ class AskedBoard(Protocol):
 class PolledBoards:
     """A line, as the loop drains it; meets `control.hardware.roles.Line` and `AskedLine`."""
 
-    def __init__(
-        self, line: PolledLine, boards: Iterable[AskedBoard], post_cycle: Callable[[], None]
-    ) -> None:
+    def __init__(self, line: PolledLine, boards: Iterable[AskedBoard], post_cycle: Callable[[], None]) -> None:
         """`post_cycle` queues the questions of a cycle."""
         self._line, self._boards, self._post_cycle = line, tuple(boards), post_cycle
         self.attend = line.attend
@@ -45,9 +43,7 @@ class PolledBoards:
         self._line.update()
 
 
-def require_fit(
-    called: str, port: str, boards: int, baud: int, needed_s: float, period_s: float, remedy: str
-) -> None:
+def require_fit(called: str, port: str, boards: int, baud: int, needed_s: float, period_s: float, remedy: str) -> None:
     """Raise MisuseError if a cycle's packets need longer than the loop has. `remedy`: besides a slower loop."""
     if needed_s > period_s:
         raise MisuseError(
@@ -57,9 +53,14 @@ def require_fit(
 
 
 def open_lines(
-    boards: Sequence[Board], opened: Opened, period_s: float, called: str, remedy: str,
-    cycle_s: Callable[[int, int], float], open_on: Callable[[ByteLink, Sequence[Board]], PolledBoards],
-) -> None:  # fmt: skip
+    boards: Sequence[Board],
+    opened: Opened,
+    period_s: float,
+    called: str,
+    remedy: str,
+    cycle_s: Callable[[int, int], float],
+    open_on: Callable[[ByteLink, Sequence[Board]], PolledBoards],
+) -> None:
     """Open the line of each port with its boards, which messages call `called`; failures are noted in `opened`.
 
     `cycle_s`: of so many boards at a baud rate. `remedy`: for a line that is too slow for the loop, besides a slower loop.

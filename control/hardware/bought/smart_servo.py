@@ -42,13 +42,9 @@ L = TypeVar("L", bound=ServoLine)
 FaultMap = Sequence[tuple[int, int]]
 """Bits of a servo's hardware error, and the loop's fault for each."""
 
-STORED_SLACK_rad = (
-    0.05  # by which stored limits may be narrower than the range: what the loop allows beyond it
-)
+STORED_SLACK_rad = 0.05  # by which stored limits may be narrower than the range: what the loop allows beyond it
 ANSWER_GAP_S = 0.0001  # between the answers of servos that are read together, with a return delay of 0
-TORQUE_CYCLES = (
-    20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
-)
+TORQUE_CYCLES = 20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
 
 
 class Torque(Enum):
@@ -98,13 +94,7 @@ class ServoDrive:
     """One servo; meets `control.hardware.roles.Drives`."""
 
     def __init__(
-        self,
-        servo: SmartServo,
-        encoder: ServoEncoder,
-        joint: int,
-        drive: Drive,
-        watchdog_s: float,
-        fault_of: FaultMap,
+        self, servo: SmartServo, encoder: ServoEncoder, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap
     ) -> None:
         self.joints = (joint,)
         self._servo, self._encoder, self._joint = servo, encoder, joint
@@ -142,14 +132,16 @@ class ServoDrive:
         servo, drive = self._servo, self._drive
         if math.isnan(servo.load):
             return servo.current_A * drive.servos
-        return (
-            servo.load * servo.supply_V - drive.torque_constant_Nm_A * servo.speed_rad_s
-        ) / drive.resistance_ohm
+        return (servo.load * servo.supply_V - drive.torque_constant_Nm_A * servo.speed_rad_s) / drive.resistance_ohm
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Switch the torque as it is wanted, and set the goal position of a servo that has it."""
         servo, joint = self._servo, self._joint
         feedback.sent_V[joint] = math.nan
@@ -198,9 +190,7 @@ class ServoDrive:
 
     def is_any_enabled(self) -> bool:
         """Whether the torque was on when the servo was last asked, or is off for a hand, or on its way back from that."""
-        is_ours = self._torque is Torque.FREED or (
-            self._torque is Torque.COMING and self._wanted is Wanted.ENABLED
-        )
+        is_ours = self._torque is Torque.FREED or (self._torque is Torque.COMING and self._wanted is Wanted.ENABLED)
         return is_ours or bool(self._servo.is_torque_on)
 
     def has_torque(self, joint: int) -> bool:
@@ -271,9 +261,7 @@ class ServoMake(Generic[L]):
         waits_s = sum(delays_s) + (self.questions - 1) * max(delays_s, default=0.0)
         return packets_s + self.questions * TURN_AROUND_S + servos * ANSWER_GAP_S + waits_s
 
-    def open_boards(
-        self, arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened
-    ) -> None:
+    def open_boards(self, arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
         """Open the lines of these servos and identify every one."""
         joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
 
@@ -358,9 +346,7 @@ def _require_range(servo: SmartServo, drive: Drive) -> None:
             )
 
 
-def _join(
-    servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
-) -> None:
+def _join(servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened) -> None:
     identity = servo.identify()
     _require_type(servo, drive)
     _require_range(servo, drive)

@@ -36,9 +36,7 @@ FAULT_STOP_S: Final = 0.6  # a VESC stops for 0.5 s after a fault (VESC Tool), t
 class VescDrive(NodeDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
-    def __init__(
-        self, board: Vesc, encoder: NodeEncoder | None, joint: int, drive: Drive, bus: VescBus
-    ) -> None:
+    def __init__(self, board: Vesc, encoder: NodeEncoder | None, joint: int, drive: Drive, bus: VescBus) -> None:
         """`encoder`: the board's own, None if the loop uses another."""
         super().__init__(board, encoder, joint, drive)
         self._board, self._bus = board, bus
@@ -50,9 +48,13 @@ class VescDrive(NodeDrive):
         return _FAULT_OF.get(code, words.OWN_ENCODER) if code else 0
 
     def write(
-        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
+        self,
+        wanted: words.Wanted,
+        modes: Sequence[OutputMode],
+        output: Sequence[float],
+        feedforward_V: Sequence[float],
+        feedback: Feedback,
+    ) -> None:
         """Set the command of this cycle; without one the windings are shorted."""
         board, joint = self._board, self._joint
         self._is_enabled = self._may_drive(wanted)
@@ -83,9 +85,7 @@ class VescDrive(NodeDrive):
 
     def _fault_left(self) -> str:
         """It has the time in which a VESC ends it."""
-        return (
-            "" if self._board.is_well_within(FAULT_STOP_S) else f"fault {self._board.fault} (mc_fault_code)"
-        )
+        return "" if self._board.is_well_within(FAULT_STOP_S) else f"fault {self._board.fault} (mc_fault_code)"
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
@@ -105,11 +105,7 @@ def _require_settings(board: Vesc, watchdog_s: float) -> str:
     if stored is None:
         return f"settings unread: its time-out must be {watchdog_s:g} s at most, with a brake current, and no application"
     for is_right, expected, found in (
-        (
-            0.0 < stored.timeout_s <= watchdog_s,
-            f"a time-out up to {watchdog_s:g} s",
-            f"{stored.timeout_s:g} s",
-        ),
+        (0.0 < stored.timeout_s <= watchdog_s, f"a time-out up to {watchdog_s:g} s", f"{stored.timeout_s:g} s"),
         (stored.brake_A > 0.0, "a brake current after it", f"{stored.brake_A:g} A: the motor is free then"),
         (
             stored.application in SILENT_APPLICATIONS,
@@ -118,9 +114,7 @@ def _require_settings(board: Vesc, watchdog_s: float) -> str:
         ),
     ):
         if not is_right:
-            raise WrongIdentity(
-                f"{board.where}: expected {expected}, it is {found}: set it in VESC Tool (App Settings, General)"
-            )
+            raise WrongIdentity(f"{board.where}: expected {expected}, it is {found}: set it in VESC Tool (App Settings, General)")
     return f"time-out {stored.timeout_s:g} s, then {stored.brake_A:g} A"
 
 

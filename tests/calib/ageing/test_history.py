@@ -9,16 +9,7 @@ import pytest
 
 from benchmarks.calibration.ageing import entry_of, measured
 from benchmarks.calibration.chains import REFERENCE_DH
-from calib.ageing import (
-    Entry,
-    GeometryRecord,
-    HistoryFileError,
-    Quantity,
-    append_entry,
-    measured_at,
-    quantities_of,
-    read_history,
-)
+from calib.ageing import Entry, GeometryRecord, HistoryFileError, Quantity, append_entry, measured_at, quantities_of, read_history
 from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.points.writer import write_points
@@ -30,16 +21,7 @@ GEOMETRY = GeometryRecord(("theta2",), (1.57,), (0.035,), ((1e4,),))
 
 def entry(day: int = 0, arm: str = "right") -> Entry:
     date = DAY + datetime.timedelta(days=day)
-    return Entry(
-        "history/1",
-        date,
-        "calibrate",
-        arm,
-        "test",
-        {"p.csv": "0"},
-        GEOMETRY,
-        {"backlash2.width_rad": Quantity(1e-3)},
-    )
+    return Entry("history/1", date, "calibrate", arm, "test", {"p.csv": "0"}, GEOMETRY, {"backlash2.width_rad": Quantity(1e-3)})
 
 
 def test_what_is_appended_is_read_in_the_order_of_its_dates(tmp_path: Path) -> None:
@@ -51,13 +33,7 @@ def test_what_is_appended_is_read_in_the_order_of_its_dates(tmp_path: Path) -> N
 
 
 def line_with(**changes: object) -> str:
-    known = {
-        "format": "history/1",
-        "measured": "2026-01-01T00:00:00Z",
-        "by": "x",
-        "arm": "right",
-        "program_version": "",
-    }
+    known = {"format": "history/1", "measured": "2026-01-01T00:00:00Z", "by": "x", "arm": "right", "program_version": ""}
     return json.dumps(known | changes)
 
 
@@ -72,10 +48,7 @@ def line_with(**changes: object) -> str:
         (line_with(measured="2026-01-01T00:00:00"), "time zone"),
         (line_with(measured="soon"), "RFC3339"),
         (line_with(arm="left"), 'expected arm "right"'),
-        (
-            line_with(geometry={"names": ["d1"], "values": [], "scales": [1], "information": [[1]]}),
-            "expected 1 values",
-        ),
+        (line_with(geometry={"names": ["d1"], "values": [], "scales": [1], "information": [[1]]}), "expected 1 values"),
         (line_with(temperature=3), "unknown field `temperature`"),
     ],
 )
@@ -89,10 +62,7 @@ def test_a_mistake_is_named_with_file_and_line(line: str, said: str, tmp_path: P
     assert said in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "date"),
-    [("2026-03-01", DAY), ("2026-03-01T00:00Z", DAY), ("2026-03-01T01:00+01:00", DAY)],
-)
+@pytest.mark.parametrize(("text", "date"), [("2026-03-01", DAY), ("2026-03-01T00:00Z", DAY), ("2026-03-01T01:00+01:00", DAY)])
 def test_dates_without_a_zone_are_utc(text: str, date: datetime.datetime) -> None:
     assert measured_at(text) == date
     with pytest.raises(CalibrationError, match="--measured: expected a date"):
@@ -105,15 +75,10 @@ def test_a_gap_gives_its_effects_parameters() -> None:
         NamedEffect(EffectName("belt_coupling"), {"ratio": (0.01, float("nan"))}, 1.0),
     )
     found = GapFinding("right", (), {}, 9.0, 1.0, {}, {}, effects)
-    assert quantities_of(found) == {
-        "backlash2.width_rad": Quantity(2e-3, 1e-4),
-        "belt_coupling.ratio": Quantity(0.01, None),
-    }
+    assert quantities_of(found) == {"backlash2.width_rad": Quantity(2e-3, 1e-4), "belt_coupling.ratio": Quantity(0.01, None)}
 
 
-def test_calibrations_are_recorded_and_their_trend_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrations_are_recorded_and_their_trend_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng, record, points = np.random.default_rng(1), tmp_path / "history.jsonl", tmp_path / "points.csv"
     tables = [REFERENCE_DH.copy() for _ in range(3)]
     for month, table in enumerate(tables):
@@ -121,17 +86,7 @@ def test_calibrations_are_recorded_and_their_trend_is_told(
     for month, table in enumerate(tables[:2]):
         append_entry(record, entry_of(30.0 * month, table, rng))
     write_points(points, measured(tables[2], rng))
-    line = [
-        "calibrate",
-        "--arm",
-        "right",
-        "--points",
-        str(points),
-        "--out",
-        str(tmp_path / "out"),
-        "--starts",
-        "1",
-    ]
+    line = ["calibrate", "--arm", "right", "--points", str(points), "--out", str(tmp_path / "out"), "--starts", "1"]
     assert main([*line, "--history", str(record), "--measured", "2026-03-02"]) == 0
     capsys.readouterr()
     assert main(["trend", "--arm", "right", "--history", str(record), "--tolerance", "5mm"]) == 0
@@ -144,30 +99,17 @@ def test_calibrations_are_recorded_and_their_trend_is_told(
     ("line", "said"),
     [
         (["trend", "--history", "none.jsonl"], "none.jsonl: cannot be read"),
-        (
-            ["calibrate", "--points", "p.csv", "--out", "o", "--measured", "2026-01-01"],
-            "--measured: needs --history",
-        ),
+        (["calibrate", "--points", "p.csv", "--out", "o", "--measured", "2026-01-01"], "--measured: needs --history"),
         (
             ["calibrate", "--points", "p.csv", "--out", "o", "--history", "/dev/null/h.jsonl"],
             "--history /dev/null/h.jsonl: cannot be written there",
         ),
-        (
-            ["calibrate", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"],
-            "--measured: expected a date",
-        ),
-        (
-            ["gap", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"],
-            "--measured: expected a date",
-        ),
+        (["calibrate", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"], "--measured: expected a date"),
+        (["gap", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"], "--measured: expected a date"),
     ],
 )
 def test_wrong_input_is_told_before_anything_is_computed(
-    line: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    line: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(line) == 2

@@ -33,10 +33,7 @@ def said(trend: Trend) -> str:
 def gaps(*values: float, sd: float | None = 1e-4, days: float = 30.0) -> tuple[Entry, ...]:
     of_play = [{"backlash1.width_rad": Quantity(value, sd)} for value in values]
     dates = [BEGUN + datetime.timedelta(days=days * k) for k in range(len(values))]
-    return tuple(
-        Entry(FORMAT, date, "gap", ARM.name, "test", {}, None, one)
-        for date, one in zip(dates, of_play, strict=True)
-    )
+    return tuple(Entry(FORMAT, date, "gap", ARM.name, "test", {}, None, one) for date, one in zip(dates, of_play, strict=True))
 
 
 def test_the_joint_that_drifts_is_named_with_its_rate_and_no_other() -> None:
@@ -45,20 +42,14 @@ def test_the_joint_that_drifts_is_named_with_its_rate_and_no_other() -> None:
     assert (one.drifts, two.drifts, three.drifts) == (False, True, False)
     assert abs(two.change - RATE) < two.half < 0.2 * RATE
     assert trend.geometry is not None
-    assert (trend.geometry.rest_drifts, trend.geometry.is_steady, trend.geometry.line.unseen) == (
-        False,
-        True,
-        0,
-    )
+    assert (trend.geometry.rest_drifts, trend.geometry.is_steady, trend.geometry.line.unseen) == (False, True, 0)
     assert "joint 2: zero drifts by " in said(trend)
 
 
 def test_the_next_calibration_is_due_before_the_tip_has_drifted_that_far() -> None:
     found = trend_of(ARM, drifting(), TOLERANCE_m).due
     assert found is not None
-    true_days = (
-        365.25 * TOLERANCE_m / (RATE * 0.53)
-    )  # joint 2 moves the tip by some 0.53 m/rad over this workspace
+    true_days = 365.25 * TOLERANCE_m / (RATE * 0.53)  # joint 2 moves the tip by some 0.53 m/rad over this workspace
     assert 0.4 * true_days < found.days < found.middle_days < 1.2 * true_days
     later = trend_of(ARM, drifting(), 4.0 * TOLERANCE_m).due
     assert later is not None
@@ -173,9 +164,6 @@ def test_dates_in_the_future_are_remarked_on() -> None:
 
 def test_a_due_date_that_has_passed_is_called_so() -> None:
     last = drifting()[-1].measured
-    soon, late = (
-        said(trend_of(ARM, drifting(), TOLERANCE_m, last + datetime.timedelta(days=days)))
-        for days in (1, 400)
-    )
+    soon, late = (said(trend_of(ARM, drifting(), TOLERANCE_m, last + datetime.timedelta(days=days))) for days in (1, 400))
     assert "That date has passed." not in soon
     assert "That date has passed." in late

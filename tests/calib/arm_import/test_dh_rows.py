@@ -79,12 +79,7 @@ def test_almost_parallel_axes_make_no_row_of_a_thousand_metres(convention: Conve
     tip[:3, 3] = 0.1, 0.0, 0.7
     rows = dh_rows(axes, tip, convention)
     assert max(max(abs(row.d_m), abs(row.L_m)) for row in rows) < LARGEST_m
-    assert (
-        np.abs(
-            by_rows(rows, convention, np.array([0.3, -0.8])) - by_screws(axes, tip, np.array([0.3, -0.8]))
-        ).max()
-        < SAME_m
-    )
+    assert np.abs(by_rows(rows, convention, np.array([0.3, -0.8])) - by_screws(axes, tip, np.array([0.3, -0.8]))).max() < SAME_m
 
 
 def test_an_upright_arm_with_perpendicular_axes_gets_the_textbook_rows() -> None:
@@ -94,5 +89,8 @@ def test_an_upright_arm_with_perpendicular_axes_gets_the_textbook_rows() -> None
     tip[2, 3] = 0.8
     rows = dh_rows(axes, tip, "standard")
     assert [(row.joint, round(row.d_m, 12), round(row.L_m, 12)) for row in rows] == [
-        (1, 0.1, 0.0), (2, 0.0, 0.4), (3, 0.0, 0.0), (None, 0.3, 0.0),
-    ]  # fmt: skip
+        (1, 0.1, 0.0),
+        (2, 0.0, 0.4),
+        (3, 0.0, 0.0),
+        (None, 0.3, 0.0),
+    ]

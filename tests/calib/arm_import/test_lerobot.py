@@ -45,15 +45,10 @@ def angles_rad(arm: Arm, positions: list[int]) -> list[float]:
 def test_angles_are_those_of_lerobot_and_ranges_are_within_both() -> None:
     arm, notes = taken_over(SO101, MOTORS)
     positions = [1500, 2600, 1700, 2048, 2900]
-    by_lerobot = [
-        math.radians(degrees_by_lerobot(at, motor))
-        for at, motor in zip(positions, MOTORS.values(), strict=False)
-    ]
+    by_lerobot = [math.radians(degrees_by_lerobot(at, motor)) for at, motor in zip(positions, MOTORS.values(), strict=False)]
     assert angles_rad(arm, positions) == pytest.approx(by_lerobot, rel=3e-4, abs=1.5e-3)  # half a count
     for drive, before in zip(arm.drives, SO101.drives, strict=True):
-        assert drive.joint_upper_rad == pytest.approx(
-            min(before.joint_upper_rad, 1000 * 2.0 * math.pi / 4096), abs=2e-3
-        )
+        assert drive.joint_upper_rad == pytest.approx(min(before.joint_upper_rad, 1000 * 2.0 * math.pi / 4096), abs=2e-3)
     assert notes[0] == "shoulder_pan: zero at count 2010, -1.534 to 1.534 rad"
 
 
@@ -62,26 +57,17 @@ def test_identified_zeros_are_those_of_the_generic_arm_in_lerobots_file() -> Non
     shifts = [0.02, -0.05, 0.1, 0.0, -0.03]
     turning = iter(shifts)
     links = tuple(
-        dataclasses.replace(link, theta_rad=link.theta_rad + next(turning))
-        if link.joint == "revolute"
-        else link
+        dataclasses.replace(link, theta_rad=link.theta_rad + next(turning)) if link.joint == "revolute" else link
         for link in arm.links
     )
     calibrated = dataclasses.replace(arm, links=links)
     motors, notes = given_back(calibrated, MOTORS, SO101)
     positions = [1600, 2500, 1800, 2100, 2300]
-    ours = [
-        q + shift for q, shift in zip(angles_rad(calibrated, positions), shifts, strict=True)
-    ]  # as the generic arm has them
-    theirs = [
-        math.radians(degrees_by_lerobot(at, motor))
-        for at, motor in zip(positions, motors.values(), strict=False)
-    ]
+    ours = [q + shift for q, shift in zip(angles_rad(calibrated, positions), shifts, strict=True)]  # as the generic arm has them
+    theirs = [math.radians(degrees_by_lerobot(at, motor)) for at, motor in zip(positions, motors.values(), strict=False)]
     assert theirs == pytest.approx(ours, rel=3e-4, abs=1.5e-3)
     assert motors["gripper"] == MOTORS["gripper"]
-    assert [motor.homing_offset for motor in motors.values()] == [
-        motor.homing_offset for motor in MOTORS.values()
-    ]
+    assert [motor.homing_offset for motor in motors.values()] == [motor.homing_offset for motor in MOTORS.values()]
     assert notes[2] == "elbow_flex: zero moved by +0.1000 rad; 0.20 rad of its travel are left out"
     again, _ = given_back(arm, MOTORS, arm)
     assert all(abs(again[name].range_min - motor.range_min) <= 1 for name, motor in MOTORS.items())
@@ -92,9 +78,7 @@ def test_what_does_not_fit_is_said(tmp_path: Path) -> None:
         taken_over(SO101, {"gripper": MOTORS["gripper"]})
     with pytest.raises(ImportedModelError, match="joint 1 is on no smart servo"):
         taken_over(load_arm("right"), MOTORS)
-    with pytest.raises(
-        ImportedModelError, match="arm right is another arm than so101: arms so101 and right have other rows"
-    ):
+    with pytest.raises(ImportedModelError, match="arm right is another arm than so101: arms so101 and right have other rows"):
         given_back(SO101, MOTORS, load_arm("right"))
     with pytest.raises(ImportedModelError, match="each of its 5 joints, it has 0"):
         taken_over(dataclasses.replace(SO101, drives=()), MOTORS)
@@ -124,34 +108,12 @@ def test_what_does_not_fit_is_said(tmp_path: Path) -> None:
             read_calibration(file)
 
 
-def test_the_commands_take_it_over_and_give_it_back(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_take_it_over_and_give_it_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     theirs, arm, back = tmp_path / "follower.json", tmp_path / "arm.toml", tmp_path / "new.json"
     theirs.write_text(
-        json.dumps(
-            {
-                name: {key: getattr(motor, key) for key in LeRobotMotor.__struct_fields__}
-                for name, motor in MOTORS.items()
-            }
-        )
+        json.dumps({name: {key: getattr(motor, key) for key in LeRobotMotor.__struct_fields__} for name, motor in MOTORS.items()})
     )
-    assert (
-        main(
-            [
-                "new",
-                "--like",
-                "so101",
-                "--name",
-                "mine",
-                "--ports",
-                "/dev/ttyUSB3",
-                "--out",
-                str(tmp_path / "new.toml"),
-            ]
-        )
-        == 0
-    )
+    assert main(["new", "--like", "so101", "--name", "mine", "--ports", "/dev/ttyUSB3", "--out", str(tmp_path / "new.toml")]) == 0
     assert main(["arm", str(tmp_path / "new.toml"), "--lerobot", str(theirs), "--out", str(arm)]) == 0
     assert load_arm(arm).drives[0].zero_count == 2010
     assert {board.port for board in load_arm(arm).boards} == {"/dev/ttyUSB3"}
@@ -173,9 +135,7 @@ def test_the_commands_take_it_over_and_give_it_back(
         (["--like", "so101", "--name", r"a\1"], "name: expected a name of 1 to 64 characters"),
     ],
 )
-def test_an_arm_like_another_is_that_arm(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
-) -> None:
+def test_an_arm_like_another_is_that_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str) -> None:
     out = tmp_path / "mine.toml"
     assert main(["new", *more, "--out", str(out)]) == 2
     assert said in capsys.readouterr().err

@@ -18,9 +18,7 @@ INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
 LINK = f'<link name="{{}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'
 
 
-def joint(
-    name: str, parent: str, child: str, kind: str = "revolute", more: str = "", xyz: str = "0 0 0.2"
-) -> str:
+def joint(name: str, parent: str, child: str, kind: str = "revolute", more: str = "", xyz: str = "0 0 0.2") -> str:
     limit = '<limit lower="-1" upper="2" effort="10" velocity="3"/>' if kind == "revolute" else ""
     return (
         f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="0 0 0"/><parent link="{parent}"/>'
@@ -44,9 +42,7 @@ def read(text: str, tmp_path: Path, form: str = "urdf", **where: str):  # type: 
 
 def test_a_plain_arm_is_read_with_limits_masses_and_its_fixed_end(tmp_path: Path) -> None:
     serial = read(robot(*PLAIN), tmp_path)
-    assert [(j.lower_rad, j.upper_rad, j.torque_Nm, j.speed_rad_s) for j in serial.joints] == [
-        (-1, 2, 10, 3)
-    ] * 2
+    assert [(j.lower_rad, j.upper_rad, j.torque_Nm, j.speed_rad_s) for j in serial.joints] == [(-1, 2, 10, 3)] * 2
     assert [mass.mass_kg for mass in serial.masses if mass] == [1.0, 2.0]  # the fixed end moves with joint 2
     links, _ = arm_links(serial, "standard")
     tip = ForwardKinematics(Arm("r", links)).tips(np.array([[0.5 * math.pi, 0.0]]))[0]
@@ -79,7 +75,7 @@ def test_a_plain_arm_is_read_with_limits_masses_and_its_fixed_end(tmp_path: Path
         ("name = 'x'", "which is XML"),
         ("<robot name='r'/>", "at least one <link>"),
     ],
-)  # fmt: skip
+)
 def test_what_no_serial_arm_has_is_said_in_one_sentence(text: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(ImportedModelError) as caught:
         read(text, tmp_path)
@@ -174,10 +170,8 @@ def test_mjcf_without_its_meshes_is_read_and_said(tmp_path: Path) -> None:
         ('xyz="0 0 0.2"', 'xyz="0 0 0,2"', "decimals have a point"),
         ('xyz="0 0 0.2"', 'xyz="$(arg lift)"', "this is xacro"),
     ],
-)  # fmt: skip
-def test_a_value_in_another_unit_is_named_by_its_element_and_line(
-    old: str, new: str, says: str, tmp_path: Path
-) -> None:
+)
+def test_a_value_in_another_unit_is_named_by_its_element_and_line(old: str, new: str, says: str, tmp_path: Path) -> None:
     text = robot(*PLAIN).replace("<joint", "\n<joint")
     with pytest.raises(ImportedModelError, match=rf"robot\.xml, line 2: {says}|robot\.xml, line 2: .*{says}"):
         read(text.replace(old, new, 1), tmp_path)
@@ -199,10 +193,7 @@ def test_moments_that_no_body_has_become_the_nearest_possible_ones_and_are_said(
     narrow = INERTIA.replace('iyy="0.01"', 'iyy="0.05"')
     serial = read(robot(*PLAIN, links="a\nbcd").replace(INERTIA, narrow, 2), tmp_path)
     said = [note for note in serial.notes if "no body has the moments 0.01, 0.01, 0.05" in note]
-    assert [re.findall(r"line \d, link \w", note) for note in said] == [
-        ["line 1, link a"],
-        ["line 2, link b"],
-    ]
+    assert [re.findall(r"line \d, link \w", note) for note in said] == [["line 1, link a"], ["line 2, link b"]]
     mass = serial.masses[0]
     assert mass is not None
     assert np.linalg.eigvalsh(mass.inertia_kg_m2) == pytest.approx([0.025, 0.025, 0.05])

@@ -32,7 +32,7 @@ OWN = {
     "calibrated": perturbed(RIGHT),
     "seven joints, modified": PANDA,
     "seven joints, calibrated, with a tool": dataclasses.replace(perturbed(PANDA), tool=Tool((0.03, -0.02, 0.05))),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
@@ -84,9 +84,7 @@ def _of(values: np.ndarray) -> str:
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
 @pytest.mark.parametrize("joints", [2, 4, 6, 7])
-def test_a_random_arm_moves_and_weighs_as_in_mujoco(
-    joints: int, convention: Convention, tmp_path: Path
-) -> None:
+def test_a_random_arm_moves_and_weighs_as_in_mujoco(joints: int, convention: Convention, tmp_path: Path) -> None:
     rng = np.random.default_rng(joints)
     file = tmp_path / "random.xml"
     file.write_text(random_mjcf(rng, joints), encoding="utf-8")

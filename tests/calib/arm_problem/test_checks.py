@@ -195,9 +195,7 @@ def arm_with(joints: int) -> Arm:
     """Alternating axes, 0.2 m links, two sockets on a board of unknown place."""
     links = tuple(Link("revolute", 0.1, 0.0, 0.2, np.pi / 2 if j % 2 else -np.pi / 2) for j in range(joints))
     cavities = {"a": (0.0, 0.0, 0.0), "b": (0.05, 0.0, 0.0)}
-    return Arm(
-        "made up", links, tool=Tool((0.05, 0.0, 0.1)), table=Table(known_pose=False, cavities_m=cavities)
-    )
+    return Arm("made up", links, tool=Tool((0.05, 0.0, 0.1)), table=Table(known_pose=False, cavities_m=cavities))
 
 
 @pytest.mark.parametrize("joints", [1, 2, 6, 7])
@@ -232,14 +230,10 @@ def test_shapes_that_do_not_fit_and_angles_beyond_three_turns_are_refused() -> N
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_an_arm_with_small_offsets_and_deviations_up_to_the_bounds_is_not_taken_for_its_mirror_image(
-    seed,
-) -> None:
+def test_an_arm_with_small_offsets_and_deviations_up_to_the_bounds_is_not_taken_for_its_mirror_image(seed) -> None:
     rng = np.random.default_rng(seed)
     offsets = rng.choice([0.003, 0.02, -0.05], 4 + 2 * (seed % 2))
-    links = tuple(
-        Link("revolute", float(d), 0.0, 0.2, float(rng.choice([np.pi / 2, -np.pi / 2]))) for d in offsets
-    )
+    links = tuple(Link("revolute", float(d), 0.0, 0.2, float(rng.choice([np.pi / 2, -np.pi / 2]))) for d in offsets)
     arm = Arm("own", links, tool=Tool((0.05, 0.0, 0.1)))
     bounds = np.array([0.005, np.radians(2.0)] * 2)
     q = rng.uniform(-1.5, 1.5, (40, len(links)))

@@ -70,9 +70,7 @@ def test_an_arm_is_put_in_the_rows_of_one_that_gap_gave_a_tilt(arm: Arm) -> None
 def test_effects_of_links_stay_with_their_links_when_a_row_comes_between(arm: Arm, added: int) -> None:
     (joint, *_) = parallel_joints(arm)
     effects = tuple(Effect("link_flexure", link, {"EI_Nm2": 100.0 * link}) for link in (joint, joint + 1))
-    more = with_tilt_behind(
-        dataclasses.replace(arm, effects=(*effects, Effect("backlash", joint + 1))), joint
-    )
+    more = with_tilt_behind(dataclasses.replace(arm, effects=(*effects, Effect("backlash", joint + 1))), joint)
     assert [effect.joint for effect in more.effects] == [joint, joint + 1 + added, joint + 1]
     assert more.links[joint + added].L_m == arm.links[joint].L_m
     before = numbers_before(arm, more)

@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.chains import board_points
-from calib.boards import (
-    Markers,
-    markers_text,
-    read_boards,
-    read_markers,
-    register,
-    register_boards,
-    write_boards,
-)
+from calib.boards import Markers, markers_text, read_boards, read_markers, register, register_boards, write_boards
 from calib.errors import PointsFileError, RegistrationError
 from calib.results import made_today
 
@@ -43,9 +35,7 @@ def test_an_exact_board_is_found_exactly(rows: list[int]) -> None:
     np.testing.assert_allclose(found.origin_m, origin, atol=1e-12)
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
     assert found.outliers == ()
-    np.testing.assert_allclose(
-        found.to_base(BOARD[rows]) + found.residual_m, BOARD[rows] @ rotation.T + origin
-    )
+    np.testing.assert_allclose(found.to_base(BOARD[rows]) + found.residual_m, BOARD[rows] @ rotation.T + origin)
 
 
 def test_standard_deviations_are_those_of_repeated_registrations() -> None:
@@ -63,19 +53,12 @@ def test_standard_deviations_are_those_of_repeated_registrations() -> None:
         noises.append(found.noise_m**2)
     assert np.mean(noises) == pytest.approx(4e-8, rel=0.1)  # 200 times 9 degrees of freedom: 3.3 %
     spread = np.cov(np.array(errors).T, bias=True)
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(spread)), np.sqrt(np.diag(np.mean(claimed, axis=0))), rtol=0.15
-    )
+    np.testing.assert_allclose(np.sqrt(np.diag(spread)), np.sqrt(np.diag(np.mean(claimed, axis=0))), rtol=0.15)
 
 
 @pytest.mark.parametrize(
     ("rows", "wrong"),
-    [
-        (FIVE, [2]),
-        (list(range(0, 24, 4)), [1]),
-        (list(range(0, 24, 3)), [1, 2]),
-        (list(range(33)), [3, 4, 5, 20]),
-    ],
+    [(FIVE, [2]), (list(range(0, 24, 4)), [1]), (list(range(0, 24, 3)), [1, 2]), (list(range(33)), [3, 4, 5, 20])],
 )
 def test_wrong_markers_are_named_also_when_there_are_several(rows: list[int], wrong: list[int]) -> None:
     for seed in range(5):
@@ -92,10 +75,7 @@ def test_wrong_markers_are_named_also_when_there_are_several(rows: list[int], wr
 @pytest.mark.parametrize("rows", [FIVE, list(range(0, 24, 3))])
 def test_among_good_markers_hardly_ever_one_is_called_wrong(rows: list[int]) -> None:
     rng = np.random.default_rng(3)
-    alarms = sum(
-        bool(register(BOARD[rows], BOARD[rows] + rng.normal(0, 1.4e-4, (len(rows), 3))).outliers)
-        for _ in range(120)
-    )
+    alarms = sum(bool(register(BOARD[rows], BOARD[rows] + rng.normal(0, 1.4e-4, (len(rows), 3))).outliers) for _ in range(120))
     assert alarms <= 5  # 1 % is meant; 6 of 120 at 1 % has a probability of 0.1 %
 
 
@@ -125,9 +105,7 @@ def test_with_three_or_four_markers_it_is_said_what_cannot_be_told() -> None:
         ([0, 8, 16], lambda s: 1000.0 * s, "in metres"),
     ],
 )
-def test_markers_that_determine_no_pose_are_refused_with_the_reason(
-    rows: list[int], change, said: str
-) -> None:
+def test_markers_that_determine_no_pose_are_refused_with_the_reason(rows: list[int], change, said: str) -> None:
     seen = BOARD[rows]
     with pytest.raises(RegistrationError, match=said):
         register(BOARD[rows], change(seen) if change else seen, [NAMES[k] for k in rows])
@@ -146,12 +124,7 @@ def test_a_mirror_image_is_refused() -> None:
 def test_every_setup_has_its_own_pose_and_repeats_are_averaged(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     poses = {setup: turned(rng) for setup in ("normal", "roll")}
-    rows = [
-        (s, NAMES[k], BOARD[k] @ r.T + o + e)
-        for s, (r, o) in poses.items()
-        for k in FIVE
-        for e in (1e-4, -1e-4)
-    ]
+    rows = [(s, NAMES[k], BOARD[k] @ r.T + o + e) for s, (r, o) in poses.items() for k in FIVE for e in (1e-4, -1e-4)]
     markers = Markers(tuple(r[0] for r in rows), tuple(r[1] for r in rows), np.array([r[2] for r in rows]))
     (tmp_path / "markers.csv").write_text(markers_text(markers))
     back = read_markers(tmp_path / "markers.csv")
@@ -171,21 +144,13 @@ def test_every_setup_has_its_own_pose_and_repeats_are_averaged(tmp_path: Path) -
     [
         ("setup,marker,x_m,y_m\n", "line 1: required column z_m is missing"),
         ("setup,marker,x_m,y_m,z_m\n", "a header and no markers"),
-        (
-            "setup,marker,x_m,y_m,z_m\nnormal,1,0,0,nan\n",
-            'line 2, column z_m: got "nan", expected a finite number',
-        ),
-        (
-            "setup,marker,x_m,y_m,z_m\nnormal,,0,0,0\n",
-            "line 2, column marker: got an empty cell, expected a name",
-        ),
+        ("setup,marker,x_m,y_m,z_m\nnormal,1,0,0,nan\n", 'line 2, column z_m: got "nan", expected a finite number'),
+        ("setup,marker,x_m,y_m,z_m\nnormal,,0,0,0\n", "line 2, column marker: got an empty cell, expected a name"),
         ("setup,marker,x_m,y_m,z_m\nnormal,1,0,0\n", "line 2: 4 values, line 1 names 5"),
         ("setup,marker,x_m,y_m,z_m,x_m\n", "column x_m appears twice"),
     ],
 )
-def test_a_markers_file_that_is_wrong_is_named_with_line_and_column(
-    tmp_path: Path, text: str, said: str
-) -> None:
+def test_a_markers_file_that_is_wrong_is_named_with_line_and_column(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "markers.csv"
     path.write_text(text)
     with pytest.raises(PointsFileError) as caught:

@@ -35,9 +35,7 @@ class Both:
     markers_m: np.ndarray
 
 
-def both(
-    seed: int, span_s: float = 20.0, offset_s: float = 2.3217, rate: float = 0.0, poses: int = 0
-) -> Both:
+def both(seed: int, span_s: float = 20.0, offset_s: float = 2.3217, rate: float = 0.0, poses: int = 0) -> Both:
     """Moves between random poses with rests of 0.9 s; poses: repeat the first ones for ever (0: never)."""
     rng = np.random.default_rng(seed)
     true = RIGHT.with_dh(RIGHT.dh + rng.uniform(-1.0, 1.0, RIGHT.dh.shape) * [0.004, 0.026, 0.004, 0.026])
@@ -56,9 +54,7 @@ def both(
     t_s = np.arange(len(q)) / LOG_Hz
     tau_s = np.arange(round((span_s - 4.0) * CAPTURE_Hz)) / CAPTURE_Hz
     seen_s = offset_s + (1.0 + rate) * tau_s
-    links = ForwardKinematics(true).link_transforms(
-        np.column_stack([np.interp(seen_s, t_s, q[:, j]) for j in range(3)])
-    )
+    links = ForwardKinematics(true).link_transforms(np.column_stack([np.interp(seen_s, t_s, q[:, j]) for j in range(3)]))
     last, turn = links[:, -1, :3, 3], links[:, -1, :3, :3]
     at = np.add(RIGHT.tool.position_m, (0.03, 0.02, 0.05))
     shake = Rotation.from_rotvec(rng.normal(0.0, NOISE_rad, (len(tau_s), 3))).as_matrix()
@@ -75,9 +71,7 @@ def both(
 
 
 def write_log(path: Path, made: Both, run: str = "1") -> Path:
-    rows = (
-        f"{run},{t:.4f},{q[0]:.6f},{q[1]:.6f},{q[2]:.6f}\n" for t, q in zip(made.t_s, made.q_rad, strict=True)
-    )
+    rows = (f"{run},{t:.4f},{q[0]:.6f},{q[1]:.6f},{q[2]:.6f}\n" for t, q in zip(made.t_s, made.q_rad, strict=True))
     path.write_text("run,t_s,q1_rad,q2_rad,q3_rad\n" + "".join(rows))
     return path
 
@@ -87,10 +81,7 @@ def vicon_csv(made: Both, hidden: slice = slice(0, 0)) -> str:
     turn = Rotation.from_matrix(made.rotation).as_rotvec()
     base = "0.1,0.2,0.3,500.0,-250.0,125.0"
     lines = ["Objects", f"{CAPTURE_Hz:g}", ",,Global Angle tool:tool,,,,,,base:base,,,,,"]
-    lines += [
-        "Frame,Sub Frame," + ",".join(["RX,RY,RZ,TX,TY,TZ"] * 2),
-        ",," + ",".join(["rad,rad,rad,mm,mm,mm"] * 2),
-    ]
+    lines += ["Frame,Sub Frame," + ",".join(["RX,RY,RZ,TX,TY,TZ"] * 2), ",," + ",".join(["rad,rad,rad,mm,mm,mm"] * 2)]
     gone = set(range(*hidden.indices(len(turn))))
     for k, (r, p) in enumerate(zip(turn, 1e3 * made.place_m, strict=True)):
         cells = ",,,,," if k in gone else ",".join(f"{v:.6f}" for v in (*r, *p))
@@ -100,9 +91,7 @@ def vicon_csv(made: Both, hidden: slice = slice(0, 0)) -> str:
     return "\n".join(lines) + "\n"
 
 
-def c3d_bytes(
-    markers_m: np.ndarray, kind: int = 84, is_float: bool = True, labels: tuple[str, ...] = ()
-) -> bytes:
+def c3d_bytes(markers_m: np.ndarray, kind: int = 84, is_float: bool = True, labels: tuple[str, ...] = ()) -> bytes:
     """A file of markers (k, m, 3), NaN where hidden; written from www.c3d.org, not from our reader."""
     order = ">" if kind == 86 else "<"
     count, frames = markers_m.shape[:2]
@@ -131,10 +120,7 @@ def c3d_bytes(
     data = bytearray()
     for frame in range(frames):
         for place in 1e3 * markers_m[:, frame]:
-            values = [
-                *(np.zeros(3) if np.isnan(place).any() else place),
-                -1.0 if np.isnan(place).any() else 0.0,
-            ]
+            values = [*(np.zeros(3) if np.isnan(place).any() else place), -1.0 if np.isnan(place).any() else 0.0]
             if is_float:
                 data += b"".join(real(value) for value in values)
             else:

@@ -15,15 +15,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.boards import read_markers
 from calib.capture.alignment import JointMotion, align
 from calib.capture.poses import believed, poses_at_rest
-from calib.capture.tracks import (
-    BodyTrack,
-    Capture,
-    CaptureError,
-    fitted_body,
-    read_c3d,
-    read_vicon_csv,
-    relative,
-)
+from calib.capture.tracks import BodyTrack, Capture, CaptureError, fitted_body, read_c3d, read_vicon_csv, relative
 from calib.gap.log import read_log
 from calib.identify.identification import identify
 from calib.points.reading import read_points
@@ -109,9 +101,7 @@ def test_rests_become_poses_whose_covariances_are_right_and_hidden_ones_are_said
 
 @pytest.mark.parametrize("hunting_rad", [0.0, 3e-4])
 @pytest.mark.parametrize("count_rad", [1e-5, 1.5e-3])
-def test_an_arm_rests_that_hunts_about_its_place_or_whose_counts_flicker(
-    hunting_rad: float, count_rad: float
-) -> None:
+def test_an_arm_rests_that_hunts_about_its_place_or_whose_counts_flicker(hunting_rad: float, count_rad: float) -> None:
     made = both(7, span_s=40.0)
     hunt = hunting_rad * np.sin(2.0 * np.pi * 4.0 * made.t_s)  # at up to 7.5 mrad/s
     q_rad = np.round((made.q_rad + hunt[:, None]) / count_rad) * count_rad
@@ -172,9 +162,7 @@ def test_vicons_csv_is_read_with_units_names_and_hidden_frames(tmp_path: Path) -
     np.testing.assert_allclose(capture.t_s, made.tau_s, atol=1e-12)
     with pytest.raises(CaptureError, match=r"expected one of tool, base, arm:M1"):
         capture.body("hand")
-    quaternion = (
-        "Objects\n100\n,,a,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,m,m,m\n1,0,0,0,0.6,0.8,1,2,3\n"
-    )
+    quaternion = "Objects\n100\n,,a,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,m,m,m\n1,0,0,0,0.6,0.8,1,2,3\n"
     (tmp_path / "q.csv").write_text(quaternion)
     rotation = read_vicon_csv(tmp_path / "q.csv").body("a").rotation
     assert rotation is not None
@@ -193,9 +181,7 @@ def test_vicons_csv_is_read_with_units_names_and_hidden_frames(tmp_path: Path) -
         ("Trajectories\n120", "Trajectories\n240", "other rates or frames"),
     ],
 )
-def test_a_vicon_file_that_is_wrong_is_one_message(
-    tmp_path: Path, old: str, new: str, said: str | None
-) -> None:
+def test_a_vicon_file_that_is_wrong_is_one_message(tmp_path: Path, old: str, new: str, said: str | None) -> None:
     text = vicon_csv(both(11, span_s=4.5)).replace(old, new, 1)
     (tmp_path / "v.csv").write_text(text)
     if said is None:
@@ -375,18 +361,14 @@ def test_runs_with_clocks_of_their_own_are_not_joined(tmp_path: Path) -> None:
     assert len(JointMotion.of(log, "2")[0].t_s) == 1000
 
 
-def test_runs_of_our_own_exports_are_put_on_one_clock_and_what_is_before_homing_is_left_out(
-    tmp_path: Path,
-) -> None:
+def test_runs_of_our_own_exports_are_put_on_one_clock_and_what_is_before_homing_is_left_out(tmp_path: Path) -> None:
     made = both(16, span_s=6.0)
     q = np.array(made.q_rad)
     q[:200, 2] -= 0.7  # before its zero was known
     lines = ["run,t_s,q1_rad,q2_rad,q3_rad,cycle"]
     for k, row in enumerate(q):
         run, begin = (1, 0) if k < 700 else (2, 700)
-        lines.append(
-            f"{run},{made.t_s[k] - made.t_s[begin]:.4f},{row[0]:.6f},{row[1]:.6f},{row[2]:.6f},{50 + k}"
-        )
+        lines.append(f"{run},{made.t_s[k] - made.t_s[begin]:.4f},{row[0]:.6f},{row[1]:.6f},{row[2]:.6f},{50 + k}")
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     motion, said = JointMotion.of(read_log(tmp_path / "log.csv", 3)[0], None)
     np.testing.assert_allclose(motion.t_s, made.t_s[200:], atol=1e-6)
@@ -407,23 +389,11 @@ def test_markers_in_the_boards_cavities_are_said_in_the_base_frame_and_register_
     tracks = np.repeat(seen[:, None], 30, axis=1) + np.random.default_rng(1).normal(0.0, 1e-4, (9, 30, 3))
     labels = ("M1", "M2", "M3", "M4", *(f"table:{name}" for name in cavities))
     (tmp_path / "b.c3d").write_bytes(c3d_bytes(tracks, labels=labels))
-    given = [
-        "import-capture",
-        str(tmp_path / "b.c3d"),
-        "--arm",
-        str(tmp_path / "arm.toml"),
-        "--out",
-        str(tmp_path),
-    ]
+    given = ["import-capture", str(tmp_path / "b.c3d"), "--arm", str(tmp_path / "arm.toml"), "--out", str(tmp_path)]
     assert main([*given, "--base-body", "M1+M2+M3+M4", "--board-markers", "normal"]) == 0
     found = read_markers(tmp_path / "markers.csv")
     np.testing.assert_allclose(found.seen_m, in_base, atol=5e-4)
-    assert (
-        main(
-            ["register", "--arm", "right", "--markers", str(tmp_path / "markers.csv"), "--out", str(tmp_path)]
-        )
-        == 0
-    )
+    assert main(["register", "--arm", "right", "--markers", str(tmp_path / "markers.csv"), "--out", str(tmp_path)]) == 0
     capsys.readouterr()
     other = [*given[:-1], str(tmp_path / "two")]
     for more, said in (

@@ -65,9 +65,7 @@ def test_an_arm_as_it_was_is_fine() -> None:
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_a_zero_that_moved_a_little_is_recalibrated_and_one_that_slipped_is_looked_at(joint: int) -> None:
-    small, large = (
-        decide(moved(quiet().turned_m(joint - 1, angle))) for angle in (0.5 * SLIP_rad, -5.0 * SLIP_rad)
-    )
+    small, large = (decide(moved(quiet().turned_m(joint - 1, angle))) for angle in (0.5 * SLIP_rad, -5.0 * SLIP_rad))
     assert small.action == "recalibrate"
     assert (large.action, large.is_sure) == (f"inspect joint {joint}", True)
     assert small.causes[0].amplitudes[0] == pytest.approx(0.5 * SLIP_rad, rel=0.1)
@@ -92,19 +90,12 @@ def test_a_bent_link_and_a_moved_base_are_named() -> None:
     bent = decide(moved(at.by_link[:, :, 6] * 2.0 * BENT_m))  # link 2 is longer
     assert (bent.action, bent.causes[0].cause.kind) == ("inspect link 2", "link")
     shifted = decide(moved(np.tile([2e-3, 0.0, 1e-3], (16, 1))))
-    assert (shifted.action, shifted.causes[0].cause.kind) in {
-        ("recalibrate", "frame"),
-        ("recalibrate", "link"),
-    }
+    assert (shifted.action, shifted.causes[0].cause.kind) in {("recalibrate", "frame"), ("recalibrate", "link")}
 
 
 def test_what_no_single_cause_explains_is_recalibrated_and_says_so() -> None:
     at = quiet()
-    found = decide(
-        moved(
-            at.turned_m(0, 4e-3) + at.turned_m(2, -5e-3) - 2e-3 * at.flank[:, 1, None] * at.by_joint[:, :, 1]
-        )
-    )
+    found = decide(moved(at.turned_m(0, 4e-3) + at.turned_m(2, -5e-3) - 2e-3 * at.flank[:, 1, None] * at.by_joint[:, :, 1]))
     assert found.action == "recalibrate"
     assert "no single cause explains it" in " ".join(sentences(found))
 
@@ -120,9 +111,7 @@ def test_a_change_below_a_visits_scatter_is_none_and_few_poses_are_not_sure_of_w
     at = quiet()
     assert decide(moved(at.turned_m(1, 1.2e-4))).action == "fine"
     few = decide(moved(at.turned_m(1, 3e-3).copy()).chosen([0, 1]))
-    assert sum(
-        one.probability for one in judged(moved(at.turned_m(1, 3e-3)).chosen([0, 1]))
-    ) == pytest.approx(1.0)
+    assert sum(one.probability for one in judged(moved(at.turned_m(1, 3e-3)).chosen([0, 1]))) == pytest.approx(1.0)
     assert few.action != "fine"
     if not few.is_sure:
         assert "Not sure" in " ".join(sentences(few))
@@ -138,21 +127,11 @@ def test_worn_play_is_found_by_the_poses_that_were_designed_for_the_arm() -> Non
     assert np.array_equal(q[::2], q[1::2])
 
 
-def test_recorded_poses_are_decided_without_moving(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recorded_poses_are_decided_without_moving(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     earlier = before(SEED)
     write_points(tmp_path / "before.csv", earlier.chosen(list(range(0, len(earlier), 4))))
     write_points(tmp_path / "new.csv", earlier.chosen(list(range(1, len(earlier), 24))))
-    line = [
-        "check-up",
-        "--arm",
-        "right",
-        "--points",
-        str(tmp_path / "before.csv"),
-        "--out",
-        str(tmp_path / "out"),
-    ]
+    line = ["check-up", "--arm", "right", "--points", str(tmp_path / "before.csv"), "--out", str(tmp_path / "out")]
     assert main([*line, "--recorded", str(tmp_path / "new.csv")]) == 0
     assert "Fine (" in capsys.readouterr().out
     assert (tmp_path / "out" / "check-up.json").exists()
@@ -181,16 +160,10 @@ def test_a_mock_of_a_calibrated_arm_is_made_of_the_file_that_it_came_from() -> N
     ],
 )
 def test_wrong_input_moves_nothing(
-    options: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    options: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    few = session(SEED, (), np.zeros((1, 3))).points.chosen(
-        [0, 1, 2, 40] if "--plan-only" in options else list(range(12))
-    )
+    few = session(SEED, (), np.zeros((1, 3))).points.chosen([0, 1, 2, 40] if "--plan-only" in options else list(range(12)))
     write_points(tmp_path / "points.csv", few)
     assert main(["check-up", "--arm", "right", "--points", "points.csv", "--out", "out", *options]) == 2
     assert said in capsys.readouterr().err

@@ -13,17 +13,7 @@ from calib.closed_chain.conduct import ContactWatch, PairStation, conduct, conta
 from calib.closed_chain.pair_problem import read_contacts
 from calib.closed_chain.planning import Candidates, SharedRoom, base_of, contact_candidates
 from calib.errors import SessionError
-from calib.session.conversation import (
-    GO,
-    Ask,
-    Do,
-    Message,
-    Recorded,
-    Saying,
-    SessionCommand,
-    SessionQuestion,
-    SmallMove,
-)
+from calib.session.conversation import GO, Ask, Do, Message, Recorded, Saying, SessionCommand, SessionQuestion, SmallMove
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, RestSample
 from calib.session.plan import Mark, Seating, Target
@@ -116,15 +106,7 @@ class Bench:
 def test_both_arms_are_led_taken_and_held_in_turn_and_nothing_moves_unasked(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "s")
     bench.run([GO] * 5)
-    took = [
-        "TAKE left",
-        "release left",
-        "SEATED left",
-        "hold left",
-        "TAKE right",
-        "release right",
-        "SEATED right",
-    ]
+    took = ["TAKE left", "release left", "SEATED left", "hold left", "TAKE right", "release right", "SEATED right"]
     held = ["hold right", "hold left", "hold right"]
     first = bench.log[: bench.log.index("NEXT", 1)]
     assert [entry for entry in first if entry != "lead"] == ["NEXT", *took, *held]
@@ -182,10 +164,7 @@ def test_jogs_name_the_arm(tmp_path: Path) -> None:
 
 def test_a_contact_that_the_others_contradict_is_noticed_at_once() -> None:
     contacts = contact_candidates(PAIR, NAMES, (0.0, 0.1), drawn=400).contacts
-    watch, q_rad = (
-        ContactWatch(ARMS, base_of(PAIR, NAMES)),
-        np.hstack((contacts.first_rad, contacts.second_rad)),
-    )
+    watch, q_rad = (ContactWatch(ARMS, base_of(PAIR, NAMES)), np.hstack((contacts.first_rad, contacts.second_rad)))
     rows = zip(q_rad.tolist(), contacts.distance_m.tolist(), strict=True)
     for number, (q, distance_m) in enumerate([*rows][:14]):
         assert not watch.judge(q, distance_m).is_suspect

@@ -23,9 +23,7 @@ from tests.calib.simulated import true_dh
 
 ARMS = (replace(SIX, name="left"), replace(SIX, name="right"))
 MODEL = ArmModel(SIX)
-BASE = Frame(
-    "right_base", frozen(Rotation.from_rotvec([0.01, -0.02, 3.0]).as_matrix()), frozen([0.9, 0.05, 0.0])
-)
+BASE = Frame("right_base", frozen(Rotation.from_rotvec([0.01, -0.02, 3.0]).as_matrix()), frozen([0.9, 0.05, 0.0]))
 JOIN = Rotation.from_rotvec([np.pi - 0.4, 0.2, 0.1]).as_matrix()
 NOISE_m = 5e-5
 

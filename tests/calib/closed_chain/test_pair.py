@@ -26,9 +26,7 @@ from tests.calib.simulated import seated, true_dh
 
 LEFT, RIGHT = load_arm("left"), load_arm("right")
 ARMS = (LEFT, RIGHT)
-BASE = Frame(
-    "right_base", frozen(Rotation.from_rotvec([0.01, -0.02, 0.3]).as_matrix()), frozen([0.05, -0.6, 0.01])
-)
+BASE = Frame("right_base", frozen(Rotation.from_rotvec([0.01, -0.02, 0.3]).as_matrix()), frozen([0.05, -0.6, 0.01]))
 NOISE_m = 1e-4
 PLAN = PairPlan(objective=LeastSquares())
 
@@ -58,9 +56,7 @@ def written(path: Path, contacts: Contacts) -> Path:
         table = csv.writer(file)
         table.writerow(["setup", "point", "repeat", *[f"q{k}_rad" for k in range(1, 7)], "distance_m"])
         for k in range(len(contacts)):
-            table.writerow(
-                ["a", k, 1, *contacts.first_rad[k], *contacts.second_rad[k], contacts.distance_m[k]]
-            )
+            table.writerow(["a", k, 1, *contacts.first_rad[k], *contacts.second_rad[k], contacts.distance_m[k]])
     return path
 
 
@@ -72,9 +68,7 @@ def test_derivatives_are_exact() -> None:
     jacobian, h = problem.residuals_and_jacobian(x)[1], 1e-6
     slopes = [(problem.residuals(x + h * e) - problem.residuals(x - h * e)) / (2 * h) for e in np.eye(len(x))]
     assert np.abs(jacobian - np.stack(slopes, axis=2)).max() < 1e-7
-    assert (
-        len(problem) == len(jacobian) == 5 + 2
-    )  # five contacts in one place, five distances in rows of three
+    assert len(problem) == len(jacobian) == 5 + 2  # five contacts in one place, five distances in rows of three
 
 
 def test_both_arms_are_found_and_contacts_left_out_close() -> None:
@@ -131,9 +125,7 @@ def test_chosen_contacts_say_more_than_others() -> None:
 
 def test_contacts_of_other_arms_and_too_few_are_refused() -> None:
     _, contacts = session(8, 12, (0.0,))
-    swapped = Contacts(
-        contacts.name, contacts.setup, contacts.second_rad[::-1], contacts.first_rad, contacts.distance_m
-    )
+    swapped = Contacts(contacts.name, contacts.setup, contacts.second_rad[::-1], contacts.first_rad, contacts.distance_m)
     with pytest.raises(UnusablePointsError, match=r"stay open by \d+ mm \(median\) wherever"):
         calibrate_pair(ARMS, swapped, PLAN)
     with pytest.raises(UnusablePointsError, match="5 contacts: 6 are needed"):
@@ -148,16 +140,11 @@ def test_contacts_that_were_none_are_named_and_so_is_a_file_that_makes_no_sense(
     found = replace(few, held_before_m=before, held_after_m=after, estimates=(), numbers_count=100)
     assert list(remarks(found)) == []
     after[7] = 9e-3
-    assert (
-        next(remarks(found))
-        == "Contradicted by the others: a:7:1 (9.00 mm). Look at them; remove what was not a contact"
-    )
+    assert next(remarks(found)) == "Contradicted by the others: a:7:1 (9.00 mm). Look at them; remove what was not a contact"
     assert "Check distance_m (in m)" in next(remarks(replace(found, held_after_m=before)))
 
 
-def test_the_command_writes_both_arms_and_says_what_stays_open(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_both_arms_and_says_what_stays_open(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = written(tmp_path / "contacts.csv", session(9, 30, (0.0,))[1])
     run = ["calibrate-pair", "--arms", "left", "right", "--contacts", str(file), "--objective", "lsq"]
     assert main([*run, "--out", str(tmp_path / "out")]) == 0
@@ -180,41 +167,18 @@ def test_the_command_writes_both_arms_and_says_what_stays_open(
     ("change", "more", "says"),
     [
         (lambda text: text.replace("q6_rad", "q7_rad"), [], "the 3 joints of left, then the 3 of right"),
-        (
-            lambda text: text.replace(",0.0\n", ",-1\n").replace(",0.0\r\n", ",-1\r\n"),
-            [],
-            "expected a distance from 0 to 5 m",
-        ),
-        (
-            lambda text: text,
-            ["--free-tool", "middle"],
-            '--free-tool: expected some of left, right, got "middle"',
-        ),
+        (lambda text: text.replace(",0.0\n", ",-1\n").replace(",0.0\r\n", ",-1\r\n"), [], "expected a distance from 0 to 5 m"),
+        (lambda text: text, ["--free-tool", "middle"], '--free-tool: expected some of left, right, got "middle"'),
         (lambda text: text, ["--fix", "left_L9"], "no parameter left_L9"),
         (lambda text: text, ["--bound", "L2=1mm"], "expected lengths=... or angles=..."),
         (lambda text: text, ["--choose", "99"], "99 contacts were requested, but only 6"),
     ],
 )
-def test_wrong_input_is_one_line(
-    change, more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_input_is_one_line(change, more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[no-untyped-def]
     file = written(tmp_path / "contacts.csv", session(10, 6, (0.0,))[1])
     file.write_text(change(file.read_text()))
     assert (
-        main(
-            [
-                "calibrate-pair",
-                "--arms",
-                "left",
-                "right",
-                "--contacts",
-                str(file),
-                "--out",
-                str(tmp_path / "out"),
-                *more,
-            ]
-        )
-        == 2
+        main(["calibrate-pair", "--arms", "left", "right", "--contacts", str(file), "--out", str(tmp_path / "out"), *more]) == 2
     )
     error = capsys.readouterr().err
     assert says in error

@@ -67,9 +67,7 @@ def test_the_command_writes_what_calibrate_pair_reads(
     assert main(["calibrate-pair", *again]) == 0
     assert main(["plan-contacts", "--out", str(file)]) == 2
     assert "never overwritten" in capsys.readouterr().err
-    with pytest.raises(
-        CalibrationError, match=r"9999 contacts were requested, but there are only \d+ places"
-    ):
+    with pytest.raises(CalibrationError, match=r"9999 contacts were requested, but there are only \d+ places"):
         plan_contacts(PAIR, NAMES, (0.0,), 9999)
 
 
@@ -81,7 +79,5 @@ def test_arms_of_other_kinds_meet_too_and_where_none_can_it_is_said() -> None:
     assert len(found.contacts) >= 5
     assert found.contacts.second_rad.shape[1] == 6
     untouchable = dataclasses.replace(mixed, clearance_m=0.2)
-    with pytest.raises(
-        CalibrationError, match=r"there are only 0 places.*tool_length_m of an arm, 0.1 m here"
-    ):
+    with pytest.raises(CalibrationError, match=r"there are only 0 places.*tool_length_m of an arm, 0.1 m here"):
         plan_contacts(untouchable, ("four", "six"), (0.0,), 3, drawn=20)

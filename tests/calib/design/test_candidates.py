@@ -118,9 +118,7 @@ def test_spread_poses_fill_every_eighth_of_the_box():
 
 def test_new_names_do_not_collide_with_those_of_points_taken():
     taken = make_points(["free", "roll"], ["p1", "5"], [1, 2], np.zeros((2, 3)), np.zeros((2, 3)))
-    planned = make_points(
-        ["free", "free", "roll"], ["", "", "5"], [1, 1, 1], np.zeros((3, 3)), np.zeros((3, 3))
-    )
+    planned = make_points(["free", "free", "roll"], ["", "", "5"], [1, 1, 1], np.zeros((3, 3)), np.zeros((3, 3)))
     found = named(planned, taken)
     assert found.point == ("p2", "p3", "5")
     assert found.repeat == (1, 1, 3)
@@ -182,9 +180,7 @@ def test_setups_stay_together_and_ways_are_short():
     q = np.vstack([*(part.q_rad[::3] for part in parts), free.q_rad[:12]])
     setups = [setup for setup in SETUPS for _ in range(11)] + ["free"] * 12
     shuffled = rng.permutation(len(q))
-    points = make_points(
-        [setups[k] for k in shuffled], [""] * len(q), [1] * len(q), q[shuffled], np.zeros((len(q), 3))
-    )
+    points = make_points([setups[k] for k in shuffled], [""] * len(q), [1] * len(q), q[shuffled], np.zeros((len(q), 3)))
     order = visiting_order(ARM, points, SETUPS, BOARDS.values())
     assert sorted(order) == list(range(len(q)))
     visited = [points.setup[k] for k in order]
@@ -192,12 +188,7 @@ def test_setups_stay_together_and_ways_are_short():
     assert sum(a != b for a, b in itertools.pairwise(visited)) == 3
     start = np.array(ARM.rest.q_rad)
     random = [
-        path_rad(
-            start,
-            np.vstack(
-                [rng.permutation(points.q_rad[np.array(points.setup) == s]) for s in [*SETUPS, "free"]]
-            ),
-        )
+        path_rad(start, np.vstack([rng.permutation(points.q_rad[np.array(points.setup) == s]) for s in [*SETUPS, "free"]]))
         for _ in range(50)
     ]
     assert path_rad(start, points.q_rad[order]) < 0.75 * min(random)

@@ -78,9 +78,7 @@ def test_visits_point_into_the_file_in_visiting_order():
         k = pose.visit - 1
         assert (PLAN.points.setup[k], PLAN.points.point[k]) == (pose.setup, pose.point)
         assert PLAN.points.q_rad[k].tolist() == list(pose.q_rad)
-    free = [
-        point for setup, point in zip(PLAN.points.setup, PLAN.points.point, strict=True) if setup == "free"
-    ]
+    free = [point for setup, point in zip(PLAN.points.setup, PLAN.points.point, strict=True) if setup == "free"]
     assert free == [f"p{k}" for k in range(1, len(free) + 1)]
 
 
@@ -157,9 +155,7 @@ def test_boards_at_unknown_places_are_planned_in_more_than_one_tilt():
 def test_where_all_frames_are_unknown_free_poses_are_still_found_to_be_best():
     """Each frame takes six unknowns: two tilts would cost twelve, and the camera's base frame alone six."""
     loose, view = Choice(freed=("base", "table", "tool")), CameraBox((0.0, -1.0, 0.0), (1.0, 0.0, 1.0))
-    assert set(
-        plan_poses(ARM, None, Request(count=6, setups=("roll", "pitch"), view=view), loose).points.setup
-    ) == {"free"}
+    assert set(plan_poses(ARM, None, Request(count=6, setups=("roll", "pitch"), view=view), loose).points.setup) == {"free"}
 
 
 def test_board_whose_tips_were_measured_will_be_measured_again():
@@ -201,21 +197,9 @@ def test_files_are_read_back_as_they_were_meant(tmp_path):
         (ARM, Request(count=10, free_count=12), "free poses: expected 0 to 10"),
         (ARM, Request(noise_m=-1.0), "noise of a measured coordinate.*got -1"),
         (dataclasses.replace(ARM, camera=None), Request(), "give --noise"),
-        (
-            dataclasses.replace(ARM, camera=None),
-            Request(only="free", noise_m=1e-4),
-            r"no \[camera\]",
-        ),
-        (
-            dataclasses.replace(ARM, camera=None, table=None),
-            Request(noise_m=1e-4),
-            r"neither a \[table\] nor a \[camera\]",
-        ),
-        (
-            ARM,
-            Request(only="free", view=CameraBox((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))),
-            "no pose is left to plan",
-        ),
+        (dataclasses.replace(ARM, camera=None), Request(only="free", noise_m=1e-4), r"no \[camera\]"),
+        (dataclasses.replace(ARM, camera=None, table=None), Request(noise_m=1e-4), r"neither a \[table\] nor a \[camera\]"),
+        (ARM, Request(only="free", view=CameraBox((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))), "no pose is left to plan"),
     ],
 )
 def test_request_that_cannot_be_met_is_one_error(arm, request_, message):

@@ -166,8 +166,11 @@ def test_lengths_verify_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main([*given, *new, "--out", str(tmp_path / "v")]) == 0
     said = json.loads(capsys.readouterr().out)
     assert {name: one["after"]["count"] for name, one in said["by_setup"].items()} == {
-        "wire:B": 12, "gauge:G": 8, "between": 6, "all": 26,
-    }  # fmt: skip
+        "wire:B": 12,
+        "gauge:G": 8,
+        "between": 6,
+        "all": 26,
+    }
     for one in said["by_setup"].values():
         assert one["after"]["mean_m"] < 3.0 * SD_m < 1e-3 < one["before"]["mean_m"]
     for more, text in (
@@ -211,7 +214,5 @@ def test_the_command_writes_a_calibrated_arm_and_calibrate_points_to_it(
     assert main(["calibrate-distances", *given]) == 2
     assert "never overwritten" in capsys.readouterr().err
     for wrong in ("A", "A=1,2", "A=1,2,x", "A=1,2,99"):
-        assert (
-            main(["calibrate-distances", *given[:2], "--out", str(tmp_path / "two"), "--wire-at", wrong]) == 2
-        )
+        assert main(["calibrate-distances", *given[:2], "--out", str(tmp_path / "two"), "--wire-at", wrong]) == 2
         assert "expected NAME=X,Y,Z in m" in capsys.readouterr().err

@@ -132,9 +132,7 @@ links = st.builds(
 arms = st.builds(
     Arm,
     st.text(max_size=12),
-    st.lists(links, min_size=1, max_size=12)
-    .filter(lambda rows: any(row.joint == "revolute" for row in rows))
-    .map(tuple),
+    st.lists(links, min_size=1, max_size=12).filter(lambda rows: any(row.joint == "revolute" for row in rows)).map(tuple),
     dh_convention=st.sampled_from(["standard", "modified"]),
     tool=st.builds(Tool, st.tuples(lengths, lengths, lengths)),
 )
@@ -211,10 +209,7 @@ def test_mjcf_holds_the_whole_mass_matrix_with_rotors() -> None:
 
 
 def test_limits_torques_and_friction_come_through() -> None:
-    friction = (
-        Effect("viscous_friction", 2, {"coefficient_Nm_s_rad": 1.5}),
-        Effect("coulomb_friction", 2, {"torque_Nm": 0.7}),
-    )
+    friction = (Effect("viscous_friction", 2, {"coefficient_Nm_s_rad": 1.5}), Effect("coulomb_friction", 2, {"torque_Nm": 0.7}))
     arm = dataclasses.replace(RIGHT, effects=friction)
     for form in ("mjcf", "urdf"):
         model = mujoco.MjModel.from_xml_string(export_text(arm, form))
@@ -226,9 +221,7 @@ def test_limits_torques_and_friction_come_through() -> None:
     root = ET.fromstring(export_text(arm, "urdf"))
     limit = root.find("joint[@name='joint1']/limit")
     assert limit is not None
-    assert float(limit.get("effort", "")) == pytest.approx(
-        8.0 * 0.0302 * 100.0
-    )  # current limit x k_t x ratio
+    assert float(limit.get("effort", "")) == pytest.approx(8.0 * 0.0302 * 100.0)  # current limit x k_t x ratio
     assert float(limit.get("velocity", "")) == 2.0
 
 
@@ -279,9 +272,7 @@ def test_what_is_lost_is_said() -> None:
 
 
 def test_json_holds_everything_and_says_how_to_check_a_reader(tmp_path: Path) -> None:
-    arm = dataclasses.replace(
-        perturbed(RIGHT), calibration=Calibration("right.toml", {"p.csv": "ab"}, "2026-01-01", "E2", "0.1")
-    )
+    arm = dataclasses.replace(perturbed(RIGHT), calibration=Calibration("right.toml", {"p.csv": "ab"}, "2026-01-01", "E2", "0.1"))
     assert export(arm, "json", tmp_path / "new" / "arm.json") == ()
     content = json.loads((tmp_path / "new" / "arm.json").read_text("utf-8"))
     assert content["format"] == "armwright-arm/1"
@@ -290,9 +281,7 @@ def test_json_holds_everything_and_says_how_to_check_a_reader(tmp_path: Path) ->
     assert content["arm"]["table"]["circle_points"] == 24
     assert content["at_zero"]["tip_m"] == pytest.approx(ForwardKinematics(arm).tip(0.0, 0.0, 0.0), abs=1e-12)
     assert np.shape(content["at_zero"]["base_T_link"]) == (4, 4, 4)
-    free = json.loads(
-        export_text(dataclasses.replace(RIGHT, drives=(Drive(1, 1.0, 1, 1.0, 1.0, 1.0),)), "json")
-    )
+    free = json.loads(export_text(dataclasses.replace(RIGHT, drives=(Drive(1, 1.0, 1, 1.0, 1.0, 1.0),)), "json"))
     assert free["arm"]["drive"][0]["current_limit_A"] is None
 
 

@@ -30,9 +30,7 @@ def run(text: str) -> Any:
 def off(published: Arm, seed: int) -> Arm:
     random = np.random.default_rng(seed)
     deviations = random.uniform(-1.0, 1.0, published.dh.shape) * (0.002, 0.03, 0.002, 0.02)
-    return dataclasses.replace(
-        published.with_dh(published.dh + deviations), tool=Tool((0.004, -0.002, 0.003))
-    )
+    return dataclasses.replace(published.with_dh(published.dh + deviations), tool=Tool((0.004, -0.002, 0.003)))
 
 
 def poses(arm: Arm, count: int) -> np.ndarray:
@@ -74,9 +72,7 @@ def test_an_encoder_that_says_something_else_is_asked_for_that() -> None:
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
-def test_its_tips_and_their_derivatives_are_those_of_the_arm(
-    convention: Literal["standard", "modified"],
-) -> None:
+def test_its_tips_and_their_derivatives_are_those_of_the_arm(convention: Literal["standard", "modified"]) -> None:
     arm = dataclasses.replace(off(load_arm("so101"), 3), dh_convention=convention)
     names = run(python_text(arm, arm)).__globals__
     for q in poses(arm, 10).tolist():
@@ -86,9 +82,7 @@ def test_its_tips_and_their_derivatives_are_those_of_the_arm(
         assert np.abs(np.array(columns).T - expected).max() < 1e-12
 
 
-def test_the_command_writes_it_and_asks_for_the_published_arm(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_it_and_asks_for_the_published_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mine, out = tmp_path / "mine.toml", tmp_path / "mine.py"
     save_arm(dataclasses.replace(off(load_arm("koch"), 1), name='my """ arm'), mine)
     export = ["export-arm", "--arm", str(mine), "--export", "python", "--out", str(out)]

@@ -15,11 +15,7 @@ from calib.gap.words import in_words
 from calib.gap.workflow import Recordings, consistent, write_gap
 from control.model.description import load_arm
 
-DRAG, OIL, PLAY = (
-    EffectName("coulomb_friction", 1),
-    EffectName("viscous_friction", 1),
-    EffectName("backlash", 2),
-)
+DRAG, OIL, PLAY = (EffectName("coulomb_friction", 1), EffectName("viscous_friction", 1), EffectName("backlash", 2))
 FOUND = GapFinding(
     arm="right",
     data=("log.csv",),
@@ -39,9 +35,7 @@ def test_what_is_named_stands_in_no_set_of_what_it_may_be() -> None:
 
 
 def test_a_gap_that_nothing_accounts_for_is_no_silence() -> None:
-    left = dataclasses.replace(
-        FOUND, gap_after=9.6, after_si={"current_A": 0.13, "tip_m": 1e-4, "q_rad": 1e-2}
-    )
+    left = dataclasses.replace(FOUND, gap_after=9.6, after_si={"current_A": 0.13, "tip_m": 1e-4, "q_rad": 1e-2})
     found = consistent(left)
     assert found.unknown == Unknown("the motors' currents, 13.0 times the noise", None, 0.0)
     assert found.next_experiment is not None

@@ -131,8 +131,6 @@ def test_cogging_comes_round_with_the_motor_and_not_with_an_encoder_that_misread
     rows = ResidualRows(Physics(RIGHT, recording), ())
     (current,) = (cell.rows for cell in rows.table.cells if str(cell) == "current of joint 2")
     added = (rows.residual((scale, cogging)) - rows.residual((scale,)))[current]
-    np.testing.assert_allclose(
-        rows.friction_slope(cogging, (scale,))[current], added, atol=1e-6 * np.abs(added).max()
-    )
+    np.testing.assert_allclose(rows.friction_slope(cogging, (scale,))[current], added, atol=1e-6 * np.abs(added).max())
     misread = rows.friction_slope(cogging)[current]
     assert np.linalg.norm(misread - added) > 0.2 * np.linalg.norm(added)

@@ -32,9 +32,17 @@ seen = partial(Nameable, needed_sd=6.0)
 
 def finding(channel: str, effects=(), nameable=(), unknown=None, gap=(2.0, 1.0), ambiguous=()) -> GapFinding:
     return GapFinding(
-        "right", (f"{channel}.csv",), {channel: 1e-3}, *gap, {channel: 2e-3}, {channel: 1e-3}, tuple(effects),
-        unknown=unknown, nameable=tuple(nameable), ambiguous=tuple(ambiguous),
-    )  # fmt: skip
+        "right",
+        (f"{channel}.csv",),
+        {channel: 1e-3},
+        *gap,
+        {channel: 2e-3},
+        {channel: 1e-3},
+        tuple(effects),
+        unknown=unknown,
+        nameable=tuple(nameable),
+        ambiguous=tuple(ambiguous),
+    )
 
 
 def play(width: float, sd: float, gap_after: float = 1.0) -> NamedEffect:
@@ -74,9 +82,7 @@ def test_an_effect_of_both_is_listed_once_with_the_parameter_of_the_poses_and_bo
 def test_what_motion_alone_shows_of_an_effect_of_both_is_kept() -> None:
     moving = NamedEffect(SPRING, {"stiffness_Nm_rad": (790.0, 9.0), "damping_Nm_s_rad": (1.1, 0.1)}, 1.0)
     both = brought_together(finding("tip_m", [spring()]), finding("current_A", [moving]))
-    assert both.effects[0].parameters == {
-        "stiffness_Nm_rad": (800.0, 5.0), "damping_Nm_s_rad": (1.1, 0.1)
-    }  # fmt: skip
+    assert both.effects[0].parameters == {"stiffness_Nm_rad": (800.0, 5.0), "damping_Nm_s_rad": (1.1, 0.1)}
 
 
 def test_the_gap_of_both_is_their_root_mean_square() -> None:
@@ -100,9 +106,7 @@ def told(width_rad: float, sd_rad: float) -> Told:
     return Told({PLAY: np.array([0])}, information, information[0] * width_rad, np.array([0.003]))
 
 
-@pytest.mark.parametrize(
-    ("width", "sd", "is_said"), [(0.0051, 1e-4, False), (0.0080, 1e-4, True), (0.0080, 2e-3, False)]
-)
+@pytest.mark.parametrize(("width", "sd", "is_said"), [(0.0051, 1e-4, False), (0.0080, 1e-4, True), (0.0080, 2e-3, False)])
 def test_a_size_that_the_two_cannot_share_is_doubted_and_the_name_is_kept(width, sd, is_said) -> None:
     """Three standard deviations are allowed."""
     both = brought_together(finding("tip_m", [play(0.0050, 1e-4)]), finding("current_A", [play(width, sd)]))
@@ -140,28 +144,21 @@ def test_the_map_of_a_set_stands_until_other_recordings_name_what_it_stands_for(
 
 def test_two_open_sets_become_what_they_share() -> None:
     both = brought_together(
-        finding("tip_m", ambiguous=[(PLAY, SCALE, SPRING)]),
-        finding("current_A", ambiguous=[(PLAY, SPRING, DRAG)]),
+        finding("tip_m", ambiguous=[(PLAY, SCALE, SPRING)]), finding("current_A", ambiguous=[(PLAY, SPRING, DRAG)])
     )
     assert both.ambiguous == ((PLAY, SPRING),)
     assert both.effects == ()
 
 
 def test_sets_that_share_nothing_both_stay_open() -> None:
-    both = brought_together(
-        finding("tip_m", ambiguous=[(PLAY, SCALE)]), finding("current_A", ambiguous=[(SPRING, DRAG)])
-    )
+    both = brought_together(finding("tip_m", ambiguous=[(PLAY, SCALE)]), finding("current_A", ambiguous=[(SPRING, DRAG)]))
     assert both.ambiguous == ((PLAY, SCALE), (SPRING, DRAG))
 
 
 def test_the_geometry_of_the_poses_stands() -> None:
     both = brought_together(
         finding("tip_m", [NamedEffect(GEOMETRY, {"link1_d_m": (0.001, 1e-5)}, 1.0)]),
-        finding(
-            "current_A",
-            [NamedEffect(GEOMETRY, {"link1_d_m": (0.009, 1e-6)}, 1.0)],
-            [seen(GEOMETRY, 100.0)],
-        ),
+        finding("current_A", [NamedEffect(GEOMETRY, {"link1_d_m": (0.009, 1e-6)}, 1.0)], [seen(GEOMETRY, 100.0)]),
     )
     assert names(both) == [GEOMETRY]
     assert both.effects[0].parameters["link1_d_m"] == (0.001, 1e-5)

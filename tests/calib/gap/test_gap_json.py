@@ -137,9 +137,7 @@ def full() -> GapFinding:
         {"tip_m": 2e-3},
         {"tip_m": float("inf")},
         (
-            NamedEffect(
-                play, {"width_rad": (0.005, float("nan"))}, 1.05, {"margin": 9.0}, 0.99, 0.8, 0.04, "load"
-            ),
+            NamedEffect(play, {"width_rad": (0.005, float("nan"))}, 1.05, {"margin": 9.0}, 0.99, 0.8, 0.04, "load"),
             NamedEffect(EffectName("payload"), {"mass_kg": (0.1, 0.01)}, 1.02),
         ),
         ((play, spring),),
@@ -155,9 +153,7 @@ def full() -> GapFinding:
     "found",
     [
         full(),
-        dataclasses.replace(
-            full(), effects=(), ambiguous=(), unknown=None, nameable=(), next_experiment=None
-        ),
+        dataclasses.replace(full(), effects=(), ambiguous=(), unknown=None, nameable=(), next_experiment=None),
         dataclasses.replace(full(), unknown=Unknown("the whole", None, 0.0)),
         dataclasses.replace(
             full(),
@@ -193,13 +189,7 @@ def found_with(*effects: tuple[str, int | None, dict[str, float]]) -> GapFinding
         ("backlash", 1, {"width_rad": 0.003}, {"width_rad": 0.002}, {"width_rad": 0.005}),
         ("coulomb_friction", 2, {"torque_Nm": 1.2}, {"torque_Nm": 0.4}, {"torque_Nm": 1.6}),
         ("belt_coupling", None, {"ratio": 0.01}, {"ratio": -0.004}, {"ratio": 0.006}),
-        (
-            "joint_compliance",
-            2,
-            {"stiffness_Nm_rad": 600.0},
-            {"stiffness_Nm_rad": 300.0},
-            {"stiffness_Nm_rad": 200.0},
-        ),
+        ("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}, {"stiffness_Nm_rad": 300.0}, {"stiffness_Nm_rad": 200.0}),
         ("torque_constant", 1, {"scale": 0.95}, {"scale": 1.02}, {"scale": 0.97}),
         (
             "encoder_eccentricity",

@@ -50,9 +50,7 @@ def shuffled(points: Points) -> tuple[Points, np.ndarray]:
 
 
 @pytest.mark.parametrize("design", DESIGNS)
-def test_what_reports_what_is_left_out_in_turn_and_the_noise_are_the_same_poses_in_any_order(
-    design: Design,
-) -> None:
+def test_what_reports_what_is_left_out_in_turn_and_the_noise_are_the_same_poses_in_any_order(design: Design) -> None:
     arm, points = designed(71, (), design)
     other, order = shuffled(points)
     first, second = split(points), split(other)
@@ -62,9 +60,7 @@ def test_what_reports_what_is_left_out_in_turn_and_the_noise_are_the_same_poses_
     np.testing.assert_array_equal(parts(shuffled(unplaced)[0], 5), parts(unplaced, 5)[order])
     left = Left(np.array(points.tip_m), np.full(points.tip_m.shape, np.nan))
     same = Left(left.tip_m[order], left.turn_rad)
-    assert noise_floor(arm, other, same).tip_m == pytest.approx(
-        noise_floor(arm, points, left).tip_m, rel=1e-9
-    )
+    assert noise_floor(arm, other, same).tip_m == pytest.approx(noise_floor(arm, points, left).tip_m, rel=1e-9)
 
 
 @cache
@@ -85,11 +81,7 @@ def require_same(one: StaticGap, other: StaticGap) -> None:
 
 
 @pytest.mark.parametrize(
-    "has_time",
-    [
-        pytest.param(True, id="with times"),
-        pytest.param(False, id="without times", marks=pytest.mark.nightly),
-    ],
+    "has_time", [pytest.param(True, id="with times"), pytest.param(False, id="without times", marks=pytest.mark.nightly)]
 )
 def test_rows_in_another_order_have_the_same_answer(has_time: bool) -> None:
     arm, points, found = recorded(has_time)
@@ -194,8 +186,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def values_of(found: GapFinding) -> dict[EffectName, list[float]]:
     """Of each name its values with their standard deviations, and its probability."""
     return {
-        one.name: [*(part for _, own in sorted(one.parameters.items()) for part in own), one.probability]
-        for one in found.effects
+        one.name: [*(part for _, own in sorted(one.parameters.items()) for part in own), one.probability] for one in found.effects
     }
 
 
@@ -210,12 +201,7 @@ def require_equal(found: GapFinding, other: GapFinding, rel: float = 1e-5) -> No
 
 # Every way and both kinds at each change, and all pairs at night.
 PAIRS = [
-    pytest.param(
-        kind,
-        way,
-        id=f"{kind.__name__}-{way}",
-        marks=[] if (number + (kind is series)) % 2 else pytest.mark.nightly,
-    )
+    pytest.param(kind, way, id=f"{kind.__name__}-{way}", marks=[] if (number + (kind is series)) % 2 else pytest.mark.nightly)
     for kind in (poses, series)
     for number, way in enumerate(WAYS)
 ]
@@ -266,11 +252,7 @@ def test_one_processor_has_the_same_answer_as_two(folder: Path) -> None:
     for threads in "12":
         limits = {f"{name}_NUM_THREADS": threads for name in ("OPENBLAS", "OMP", "MKL")}
         done = subprocess.run(
-            [sys.executable, "-c", ON_THREADS, *paths],
-            env={**os.environ, **limits},
-            capture_output=True,
-            text=True,
-            check=True,
+            [sys.executable, "-c", ON_THREADS, *paths], env={**os.environ, **limits}, capture_output=True, text=True, check=True
         )
         told.append([json.loads(line) for line in done.stdout.splitlines()])
     assert len(told[0]) == 2

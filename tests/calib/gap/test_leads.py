@@ -36,10 +36,7 @@ TOURS = (
 def run_of(name: str, t_s: Array, q_rad: Array, lead_rad: Array) -> LoggedRun:
     m, n = q_rad.shape
     nothing = np.full((m, n), np.nan)
-    columns = {
-        f"lead{j + 1}_rad": tuple("" if x != x else f"{x:.9g}" for x in own)
-        for j, own in enumerate(lead_rad.T)
-    }
+    columns = {f"lead{j + 1}_rad": tuple("" if x != x else f"{x:.9g}" for x in own) for j, own in enumerate(lead_rad.T)}
     seen = np.full((m, 3), np.nan)
     return LoggedRun(name, t_s - t_s[0], q_rad, nothing, nothing, nothing, np.zeros(m), seen, columns)
 
@@ -63,9 +60,7 @@ def simulated(play_rad: float, stiffness_Nm_rad: float, seed: int) -> Log:
 
 @pytest.mark.parametrize(("play_rad", "stiffness_Nm_rad"), [(0.006, 600.0), (0.006, 1e9), (0.0, 600.0)])
 def test_play_and_spring_are_told_apart_and_measured(play_rad: float, stiffness_Nm_rad: float) -> None:
-    found = {
-        str(one.name): one.parameters for one in gears_by_leads(ARM, simulated(play_rad, stiffness_Nm_rad, 1))
-    }
+    found = {str(one.name): one.parameters for one in gears_by_leads(ARM, simulated(play_rad, stiffness_Nm_rad, 1))}
     wanted = {"backlash on joint 2": ("width_rad", play_rad)} if play_rad else {}
     if stiffness_Nm_rad < 1e6:
         wanted["joint_compliance on joint 2"] = ("stiffness_Nm_rad", stiffness_Nm_rad)
@@ -103,11 +98,7 @@ def test_the_leads_of_an_arm_show_play_spring_and_belt_of_its_gears() -> None:
     with holding_four(arm) as cell:
         rows: list[tuple[float, ...]] = []
         parts = cell.runtime.parts
-        cell.watchers.append(
-            lambda: rows.append(
-                (cell.rig.clock.now_s(), *parts.measurement.q_rad, *parts.motor_leads.lead_rad)
-            )
-        )
+        cell.watchers.append(lambda: rows.append((cell.rig.clock.now_s(), *parts.measurement.q_rad, *parts.motor_leads.lead_rad)))
         for k, tour in enumerate(TOURS):
             rows.clear()
             for place in tour:

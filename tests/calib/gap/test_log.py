@@ -20,8 +20,7 @@ def written(path: Path, rows: list[str], header: str = HEADER) -> Path:
 
 def rows_of(run: int, payload: float = 0.0, shift: float = 0.0) -> list[str]:
     return [
-        f"{run},{k * 0.002:.3f},{payload},{k * 0.001 + shift:.6f},0,{k * 0.001},0,0.1,0.2,1,2,0.5,0,0.1,21"
-        for k in range(20)
+        f"{run},{k * 0.002:.3f},{payload},{k * 0.001 + shift:.6f},0,{k * 0.001},0,0.1,0.2,1,2,0.5,0,0.1,21" for k in range(20)
     ]
 
 
@@ -66,27 +65,15 @@ def test_files_are_joined_in_their_order(tmp_path: Path) -> None:
     ("change", "said"),
     [
         (lambda rows: [rows[0], rows[0]], 'line 3, column t_s: got "0", expected a time after 0'),
-        (
-            lambda rows: [rows[0].replace("0.1,0.2", "0.1,x")],
-            'line 2, column i2_A: got "x", expected a finite number',
-        ),
+        (lambda rows: [rows[0].replace("0.1,0.2", "0.1,x")], 'line 2, column i2_A: got "x", expected a finite number'),
         (lambda rows: [rows[0] + ",1"], "line 2: 16 values, line 1 names 15"),
         (
             lambda rows: [rows[0].replace(",0.5,0,0.1,21", ",0.5,,0.1,21")],
             "line 2, column y_m: got an empty cell, expected a number, since the rest of x_m to z_m is given",
         ),
-        (
-            lambda rows: [rows[0].replace("1,0.000,0.0", "1,0.000,-1")],
-            'column payload_kg: got "-1", expected a mass not below 0',
-        ),
-        (
-            lambda rows: [rows[0], "2" + rows[1][1:], rows[2]],
-            'line 4, column run: got "1", expected each run in one piece',
-        ),
-        (
-            lambda rows: ["," + rows[0].split(",", 1)[1]],
-            "column run: got an empty cell, expected a name or number",
-        ),
+        (lambda rows: [rows[0].replace("1,0.000,0.0", "1,0.000,-1")], 'column payload_kg: got "-1", expected a mass not below 0'),
+        (lambda rows: [rows[0], "2" + rows[1][1:], rows[2]], 'line 4, column run: got "1", expected each run in one piece'),
+        (lambda rows: ["," + rows[0].split(",", 1)[1]], "column run: got an empty cell, expected a name or number"),
         (lambda rows: [], "a header and no samples"),
     ],
 )

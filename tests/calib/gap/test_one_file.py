@@ -44,13 +44,9 @@ def loose_between_flanks():
 
 
 @pytest.mark.parametrize(
-    ("made", "times_most"),
-    [(lambda: from_afar(43), 1.2), (loose_between_flanks, 1.6)],
-    ids=["tracker", "play"],
+    ("made", "times_most"), [(lambda: from_afar(43), 1.2), (loose_between_flanks, 1.6)], ids=["tracker", "play"]
 )
-def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(
-    made, times_most: float, tmp_path, monkeypatch
-) -> None:
+def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(made, times_most: float, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(RIGS, "drawn", None)
     arm, points = made()
     recordings = Recordings(points, None, (), (), ())
@@ -76,18 +72,14 @@ ARMS = {
         {"base_frame", "belt_coupling", "encoder_scale:1"},
     ),
     "other six joints": (
-        lambda: designed(
-            66, (Hidden("encoder_scale", 2, 0.006),), Design(rig="other six", free=40, visits=3)
-        ),
+        lambda: designed(66, (Hidden("encoder_scale", 2, 0.006),), Design(rig="other six", free=40, visits=3)),
         {"base_frame", "encoder_scale:2"},
     ),
 }
 
 
 @pytest.mark.parametrize("which", third_of(ARMS))
-def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses(
-    which: str, monkeypatch
-) -> None:
+def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses(which: str, monkeypatch) -> None:
     for name, rig in MORE_RIGS.items():
         monkeypatch.setitem(RIGS, name, rig)
     made, names = ARMS[which]
@@ -119,9 +111,7 @@ def test_what_poses_do_not_determine_is_in_the_file_as_calibrate_leaves_it() -> 
         EffectName("joint_compliance", 2): {"stiffness_Nm_rad": (600.0, 20.0)},
     }
     made = File.of(arm, points, rows, first, {}, is_last=False)
-    plan = CalibrationPlan(
-        Choice(effects=("backlash:3", "joint_compliance:2")), LeastSquares(), starts_count=1
-    )
+    plan = CalibrationPlan(Choice(effects=("backlash:3", "joint_compliance:2")), LeastSquares(), starts_count=1)
     found = identified(arm, points, plan, rows)[1]
     assert any("backlash3" in one.names for one in found.undetermined)
     np.testing.assert_allclose(made.arm.dh, found.dh, atol=2e-6)
@@ -155,9 +145,7 @@ def test_a_set_that_stays_open_corrects_what_its_members_share(which: str) -> No
     left = [np.sqrt(np.mean(errors_of(found.file, apart) ** 2))]
     for keys in (truth, tuple(named)):
         plan = CalibrationPlan(Choice(effects=keys).for_points(arm, some))
-        left.append(
-            np.sqrt(np.mean(errors_of(calibrated_arm(arm, identified(arm, some, plan)[1], some), apart) ** 2))
-        )
+        left.append(np.sqrt(np.mean(errors_of(calibrated_arm(arm, identified(arm, some, plan)[1], some), apart) ** 2)))
     assert left[0] < 1.02 * left[1] < 0.9 * left[2]
     assert found.finding.maps is not None
     (check,) = found.finding.maps.checks
@@ -165,35 +153,18 @@ def test_a_set_that_stays_open_corrects_what_its_members_share(which: str) -> No
 
 
 def test_a_map_can_follow_what_depends_on_a_joints_angle_or_load_and_nothing_else() -> None:
-    assert (
-        follows(EffectName("encoder_scale", 4))
-        == follows(EffectName("encoder_eccentricity", 1))
-        == "angle_rad"
-    )
+    assert follows(EffectName("encoder_scale", 4)) == follows(EffectName("encoder_eccentricity", 1)) == "angle_rad"
     assert follows(EffectName("joint_compliance", 2)) == "load_Nm"
-    others = (
-        "thermal_drift",
-        "belt_coupling",
-        "link_flexure",
-        "backlash",
-        "payload",
-        "link_inertia",
-        "base_frame",
-    )
+    others = ("thermal_drift", "belt_coupling", "link_flexure", "backlash", "payload", "link_inertia", "base_frame")
     assert not any(follows(EffectName(other, 2)) for other in others)
 
 
 @pytest.mark.parametrize(
     "effect",
-    [
-        Effect("link_flexure", 2, {"EI_Nm2": 150.0}),
-        Effect("thermal_drift", 1, {"final_rad": 0.004, "time_constant_s": 900.0}),
-    ],
+    [Effect("link_flexure", 2, {"EI_Nm2": 150.0}), Effect("thermal_drift", 1, {"final_rad": 0.004, "time_constant_s": 900.0})],
     ids=lambda one: one.effect,
 )
-def test_what_poses_name_is_in_every_prediction_of_the_file_and_calibrate_identifies_it(
-    effect: Effect,
-) -> None:
+def test_what_poses_name_is_in_every_prediction_of_the_file_and_calibrate_identifies_it(effect: Effect) -> None:
     arm, points = designed(45, (), Design(step=8, free=20))
     known = dataclasses.replace(arm, effects=(effect,))
     moved = predicted_tips(known, points) - predicted_tips(arm, points)

@@ -27,7 +27,5 @@ def problem_with_everything_free(name: str, rng) -> ArmProblem:
         Correction("scale1", "", q * np.eye(n)[0], 0.02),
         Correction("backlash2", "rad", -0.5 * np.sign(rng.normal(size=(m, 1))) * np.eye(n)[1], 0.02, 0.001),
     )
-    observed = Observations(
-        q, rng.normal(size=(m, 3)), np.arange(m, dtype=np.intp) % 4, frames, corrections=corrections
-    )
+    observed = Observations(q, rng.normal(size=(m, 3)), np.arange(m, dtype=np.intp) % 4, frames, corrections=corrections)
     return ArmProblem(ArmModel(arm_of(model, dh)), observed, is_tool_free=True, fixed=("theta1", "one_y"))

@@ -42,9 +42,7 @@ def test_least_squares_divides_by_the_degrees_of_freedom() -> None:
 
 @pytest.mark.parametrize("objective", [SumOfDistances(), SumOfCoordinates()], ids=["E2", "E1"])
 def test_few_points_get_wider_intervals_than_the_normal_ones(objective) -> None:
-    noise = noise_scale(
-        objective, np.random.default_rng(2).normal(size=(20, 3)), np.tile(0.1 * np.eye(3), (20, 1, 1))
-    )
+    noise = noise_scale(objective, np.random.default_rng(2).normal(size=(20, 3)), np.tile(0.1 * np.eye(3), (20, 1, 1)))
     assert noise.quantile() > 1.98
     assert noise.quantile(0.5) < 0.75
 
@@ -56,9 +54,7 @@ def test_without_residuals_or_without_freedom_there_is_no_noise_to_tell() -> Non
     assert np.isnan(exact.quantile())
 
 
-@pytest.mark.parametrize(
-    "what", [Session("known", 99, "e2"), Session("known", 33, "lsq", 1.0)], ids=["E2", "bounds bind"]
-)
+@pytest.mark.parametrize("what", [Session("known", 99, "e2"), Session("known", 33, "lsq", 1.0)], ids=["E2", "bounds bind"])
 def test_intervals_cover_the_truth_as_often_as_they_say(what) -> None:
     found = studied(what, 30, seed=3)
     scores = sum(tally.count for tally in found.values())
@@ -80,9 +76,7 @@ def test_the_interval_of_a_parameter_on_its_bound_ends_there_and_reaches_inside(
         x = np.clip(x + step, -1.0, 1.0)
     x[6] = 1.0
     residuals = problem.residuals(x)
-    estimate = uncertainty(
-        problem.parameters, LeastSquares(), x, residuals, Sensitivity.at(problem, x)
-    ).estimates[6]
+    estimate = uncertainty(problem.parameters, LeastSquares(), x, residuals, Sensitivity.at(problem, x)).estimates[6]
     assert estimate.parameter.name == "L2"
     assert np.isnan(estimate.sd)
     assert estimate.interval[1] == pytest.approx(0.005)

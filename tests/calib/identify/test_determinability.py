@@ -84,9 +84,7 @@ def test_the_covariance_is_that_of_least_squares_over_what_is_determined() -> No
     here = determinability(sensitivity, problem.parameters)
     seen = sensitivity.reshape(-1, 16) @ here.basis
     wanted = here.basis @ np.linalg.inv(seen.T @ seen) @ here.basis.T
-    np.testing.assert_allclose(
-        here.covariance(4.0), 4.0 * wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max()
-    )
+    np.testing.assert_allclose(here.covariance(4.0), 4.0 * wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
 
 
 def test_a_board_whose_points_lie_on_a_line_has_a_turn_that_nothing_depends_on() -> None:
@@ -97,9 +95,7 @@ def test_a_board_whose_points_lie_on_a_line_has_a_turn_that_nothing_depends_on()
     found = determinability(columns, parameters)
     assert found.rank == 1
     said = open_in_words(found.undetermined)
-    assert said == (
-        "board_front_rx has no effect on these points, which lie on one line; no result depends on it",
-    )
+    assert said == ("board_front_rx has no effect on these points, which lie on one line; no result depends on it",)
 
 
 def test_many_parameters_without_effect_are_told_in_one_short_sentence() -> None:

@@ -18,10 +18,7 @@ from calib.validation.verify import errors_of, predicted_tips
 from control.model.arm import Arm, Effect, Tool
 from tests.thirds import third_of
 
-SOFT, SCALED = (
-    Effect("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}),
-    Effect("encoder_scale", 1, {"scale": 0.006}),
-)
+SOFT, SCALED = (Effect("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}), Effect("encoder_scale", 1, {"scale": 0.006}))
 BENT = Effect("link_flexure", 2, {"EI_Nm2": 140.0})
 TURNED = Effect("encoder_eccentricity", 3, {"amplitude_rad": 0.005, "phase_rad": 0.4})
 EXACT = Design(rig="six", free=40, visits=5, noise_m=0.0)
@@ -52,13 +49,7 @@ def five_joints_soft_and_eccentric() -> Case:
     kg = np.where(np.arange(120) % 2, 0.5, 0.0)
     names = [f"p{k}" for k in range(120)]
     points = make_points(
-        ["free"] * 120,
-        names,
-        [1] * 120,
-        q,
-        np.zeros((120, 3)),
-        np.sign(off.normal(size=q.shape)),
-        payload_kg=kg,
+        ["free"] * 120, names, [1] * 120, q, np.zeros((120, 3)), np.sign(off.normal(size=q.shape)), payload_kg=kg
     )
     true = dataclasses.replace(arm.with_dh(arm.dh + deviations(off, len(arm.links))), effects=(SOFT, TURNED))
     return arm, _seen(true, points), (SOFT, TURNED)

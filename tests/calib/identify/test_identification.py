@@ -19,11 +19,7 @@ from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify.objective import LeastSquares, SumOfDistances
 from tests.calib.arms import identified
 
-ARMS = {
-    "reference": (REFERENCE, REFERENCE_DH),
-    "two joints": (TWO_JOINT, TWO_JOINT_DH),
-    "modified": (MODIFIED, MODIFIED_DH),
-}
+ARMS = {"reference": (REFERENCE, REFERENCE_DH), "two joints": (TWO_JOINT, TWO_JOINT_DH), "modified": (MODIFIED, MODIFIED_DH)}
 BOTH = pytest.mark.parametrize("objective", [SumOfDistances(), LeastSquares()], ids=["E2", "LSQ"])
 
 

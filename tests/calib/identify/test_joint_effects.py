@@ -10,14 +10,7 @@ import pytest
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.joint_effects import (
-    corrections,
-    effects_of,
-    known_corrections,
-    unclear_flanks,
-    unphysical,
-    with_effects,
-)
+from calib.arm_problem.joint_effects import corrections, effects_of, known_corrections, unclear_flanks, unphysical, with_effects
 from calib.errors import CalibrationError
 from calib.identify.identification import identify
 from calib.identify.objective import LeastSquares
@@ -32,9 +25,15 @@ FRICTION_Nm = np.array([1.3, 1.5, 0.9])
 K_Nm_A = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in ARM.drives])
 SHARE = 3 / 8  # of friction on the links: between two of the parts in which unclear flanks are taken together
 NAMES = (
-    "encoder_scale:1", "encoder_eccentricity:2", "backlash:1", "backlash:2", "backlash:3", "joint_compliance:2",
-    "joint_compliance:3", "belt_coupling",
-)  # fmt: skip
+    "encoder_scale:1",
+    "encoder_eccentricity:2",
+    "backlash:1",
+    "backlash:2",
+    "backlash:3",
+    "joint_compliance:2",
+    "joint_compliance:3",
+    "belt_coupling",
+)
 # What is hidden, as docs/formats.md has it, and the largest error of each parameter [its unit] that the camera's noise leaves
 # (four standard deviations or more).
 HIDDEN = {
@@ -82,10 +81,7 @@ def measured(name: str, parameters: dict[str, float], seed: int, share: float = 
     tips = ArmModel(ARM).tips(dh, joint_rad) + rng.normal(0.0, 1.4e-4, (len(joint_rad), 3))
     held_A = (gravity + FRICTION_Nm * last + rng.normal(0.0, 0.02, gravity.shape)) / K_Nm_A
     m = len(joint_rad)
-    return make_points(
-        ["free"] * m, [str(k) for k in range(m)], [1] * m, encoder_rad, tips, last, held_A,
-        payload_kg=np.zeros(m),
-    )  # fmt: skip
+    return make_points(["free"] * m, [str(k) for k in range(m)], [1] * m, encoder_rad, tips, last, held_A, payload_kg=np.zeros(m))
 
 
 @pytest.mark.parametrize("name", HIDDEN)
@@ -94,9 +90,7 @@ def test_a_hidden_effect_comes_back_with_its_parameters(name: str) -> None:
     points = measured(name, parameters, seed=3)
     wanted = corrections(ARM, points, [name])
     before = identify(problem_of(ARM, points), objective=LeastSquares(), starts_count=1)
-    found = identify(
-        problem_of(ARM, points, Choice(corrections=wanted)), objective=LeastSquares(), starts_count=1
-    )
+    found = identify(problem_of(ARM, points, Choice(corrections=wanted)), objective=LeastSquares(), starts_count=1)
     (effect,) = effects_of(found.solution.corrections)
     assert effect.effect == name.partition(":")[0]
     for key, value in parameters.items():
@@ -137,9 +131,7 @@ def test_eccentricity_goes_to_sine_and_cosine_and_back() -> None:
     values = {c.name: c.nominal for c in corrections(arm, points, ["encoder_eccentricity:2"])}
     (back,) = effects_of(values)
     assert back.parameters == pytest.approx(off_centre.parameters, abs=1e-15)
-    assert np.allclose(
-        known_corrections(arm, points)[:, 1], 0.004 * np.sin(points.q_rad[:, 1] - 2.1), atol=1e-15
-    )
+    assert np.allclose(known_corrections(arm, points)[:, 1], 0.004 * np.sin(points.q_rad[:, 1] - 2.1), atol=1e-15)
 
 
 def test_found_effects_replace_those_of_the_same_joint_and_keep_the_others() -> None:
@@ -207,8 +199,8 @@ def test_an_effect_that_there_is_not_is_refused(text: str) -> None:
 
 
 def test_an_encoder_effect_needs_neither_masses_nor_drives(tmp_path: Path) -> None:
-    bare: Arm = dataclasses.replace(ARM, drives=(), links=tuple(
-        dataclasses.replace(link, mass_kg=None, com_m=None, inertia_kg_m2=None) for link in ARM.links
-    ))  # fmt: skip
+    bare: Arm = dataclasses.replace(
+        ARM, drives=(), links=tuple(dataclasses.replace(link, mass_kg=None, com_m=None, inertia_kg_m2=None) for link in ARM.links)
+    )
     points = measured("encoder_scale:1", {"scale": 0.01}, seed=7)
     assert len(corrections(bare, points, ["encoder_scale:1", "belt_coupling"])) == 2

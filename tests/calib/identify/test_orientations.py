@@ -28,9 +28,15 @@ from control.model.arm import Arm, Camera, Link, Tool
 
 QUARTER = np.pi / 2
 DH = np.array(
-    [[0.33, 0, 0.05, QUARTER], [0, QUARTER, 0.44, 0], [0, 0, 0.035, QUARTER],
-     [0.42, 0, 0, -QUARTER], [0, 0, 0, QUARTER], [0.08, 0, 0, 0]]
-)  # fmt: skip
+    [
+        [0.33, 0, 0.05, QUARTER],
+        [0, QUARTER, 0.44, 0],
+        [0, 0, 0.035, QUARTER],
+        [0.42, 0, 0, -QUARTER],
+        [0, 0, 0, QUARTER],
+        [0.08, 0, 0, 0],
+    ]
+)
 POSITION_NOISE_m, TURN_NOISE_rad = 1.4e-4, 5e-4
 IN_THE_FLANGE, OFF_AXIS = (0.0, 0.0, 0.0), (0.02, 0.03, 0.1)
 TARGET = np.array([0.3, -1.2, 0.5])
@@ -61,9 +67,7 @@ def without_orientation(points: Points) -> Points:
     return dataclasses.replace(points, orientation=np.full((len(points), 4), np.nan))
 
 
-@pytest.mark.parametrize(
-    "choice", [BASE, KNOWN_TARGET, Choice(freed=("base",), effects=("encoder_scale:2",))]
-)
+@pytest.mark.parametrize("choice", [BASE, KNOWN_TARGET, Choice(freed=("base",), effects=("encoder_scale:2",))])
 def test_the_jacobian_of_orientations_is_exact(choice: Choice) -> None:
     arm, _, points = session(1)
     whole = whole_problem(problem_of(arm, points, choice))

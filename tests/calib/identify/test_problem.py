@@ -29,11 +29,7 @@ def test_every_column_is_the_slope_of_the_residuals(name) -> None:
     _, jacobian = problem.residuals_and_jacobian(x)
     h = 1e-6  # of a scaled unknown; central differences are then good to some 1e-9
     numeric = np.stack(
-        [
-            (problem.residuals(x + h * unit) - problem.residuals(x - h * unit)) / (2 * h)
-            for unit in np.eye(len(x))
-        ],
-        axis=2,
+        [(problem.residuals(x + h * unit) - problem.residuals(x - h * unit)) / (2 * h) for unit in np.eye(len(x))], axis=2
     )
     np.testing.assert_allclose(jacobian, numeric, atol=3e-9)
 
@@ -57,13 +53,9 @@ def test_the_solution_is_what_the_residuals_were_computed_with(name) -> None:
     problem = problem_with_everything_free(name, rng)
     x = rng.uniform(-0.3, 0.3, len(problem.parameters))
     found, observed = problem.solution(x), problem.observed
-    q = observed.q_rad + sum(
-        found.corrections[correction.name] * correction.slope_rad for correction in observed.corrections
-    )
+    q = observed.q_rad + sum(found.corrections[correction.name] * correction.slope_rad for correction in observed.corrections)
     tips = problem.model.tips(found.dh, q, found.tool_m)
-    references = np.array(
-        [found.frames[k].to_base(p) for k, p in zip(observed.frame, observed.position_m, strict=True)]
-    )
+    references = np.array([found.frames[k].to_base(p) for k, p in zip(observed.frame, observed.position_m, strict=True)])
     np.testing.assert_allclose(problem.residuals(x), references - tips, atol=1e-12)
 
 
@@ -82,9 +74,7 @@ def test_unknowns_without_a_nominal_value_have_no_limit_and_others_have_their_bo
 def test_a_name_that_is_none_is_refused_with_the_valid_ones() -> None:
     observed = Observations.of_tips(np.zeros((5, 3)), np.zeros((5, 3)))
     model = ArmModel(load_arm("right"))
-    with pytest.raises(
-        CalibrationError, match=r"no parameter tool_x.*: expected one of d1, theta1, .*alpha4"
-    ):
+    with pytest.raises(CalibrationError, match=r"no parameter tool_x.*: expected one of d1, theta1, .*alpha4"):
         ArmProblem(model, observed, fixed=("tool_x",))
     with pytest.raises(CalibrationError, match="no parameter L9"):
         ArmProblem(model, observed, bounds=Bounds(own={"L9": 0.1}))
@@ -139,14 +129,11 @@ def test_an_unknown_tool_and_unknown_boards_are_found_before_the_search_begins()
     tool = np.array([0.02, -0.01, 0.12])
     near = ArmModel(arm).tips(arm.dh, np.array([[0.0, -0.5, 0.3, 0.4]]), tool)[0]
     frames = [
-        Frame(f"board_{name}", rotation_of(rng.normal(size=3)), near + rng.uniform(-0.05, 0.05, 3))
-        for name in ("left", "right")
+        Frame(f"board_{name}", rotation_of(rng.normal(size=3)), near + rng.uniform(-0.05, 0.05, 3)) for name in ("left", "right")
     ]
     q, setup, point = session_points(arm, rng, frames, tool_m=tool)
     arm = dataclasses.replace(
-        arm,
-        tool=dataclasses.replace(arm.tool, known=False),
-        table=Table(known_pose=False, cavities_m=CAVITIES),
+        arm, tool=dataclasses.replace(arm.tool, known=False), table=Table(known_pose=False, cavities_m=CAVITIES)
     )
     points = make_points(setup, point, [1] * len(q), q, np.full((len(q), 3), np.nan))
     problem = problem_of(arm, points)

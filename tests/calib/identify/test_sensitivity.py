@@ -56,9 +56,7 @@ def test_very_many_points_are_compared_in_parts_and_keep_their_rows(monkeypatch:
     points = board_points(rng, dh)
     tips = np.array(points.tip_m)
     tips[41] += (0.0, 0.01, 0.0)
-    problem = problem_of(
-        RIGHT, make_points(points.setup, points.point, points.repeat, points.q_rad, tips), Choice()
-    )
+    problem = problem_of(RIGHT, make_points(points.setup, points.point, points.repeat, points.q_rad, tips), Choice())
     x = (dh - RIGHT.dh).ravel() / problem.scale
     monkeypatch.setattr(outliers, "PART", 40)
     found = outliers.find_suspects(problem, x)

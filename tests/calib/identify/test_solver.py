@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from benchmarks.calibration.chains import (
-    MODIFIED,
-    MODIFIED_DH,
-    REFERENCE,
-    REFERENCE_DH,
-    ChainModel,
-    board_session,
-    deviations,
-)
+from benchmarks.calibration.chains import MODIFIED, MODIFIED_DH, REFERENCE, REFERENCE_DH, ChainModel, board_session, deviations
 from benchmarks.calibration.solver_study import best_known, case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.observations import Observations
@@ -43,14 +35,11 @@ def workspace_problem(m: int, seed: int, noise_m: float = 0.00014, size: float =
     rng = np.random.default_rng(seed)
     true = REFERENCE_DH + size * deviations(rng, 4)
     q = rng.uniform(-1.2, 1.2, (m, 3))
-    return problem_of_tips(
-        REFERENCE, REFERENCE_DH, q, REFERENCE.tips(true, q) + rng.normal(0.0, noise_m, (m, 3))
-    )
+    return problem_of_tips(REFERENCE, REFERENCE_DH, q, REFERENCE.tips(true, q) + rng.normal(0.0, noise_m, (m, 3)))
 
 
 @pytest.mark.parametrize(
-    ("name", "seed"),
-    [("e2", 15), ("lsq", 8), night("e2", 0), night("lsq", 15), night("huber", 3), night("e1", 15)],
+    ("name", "seed"), [("e2", 15), ("lsq", 8), night("e2", 0), night("lsq", 15), night("huber", 3), night("e1", 15)]
 )
 def test_the_optimum_is_within_a_millionth_of_the_best_that_any_solver_finds(name, seed) -> None:
     """On the board and in the workspace, most of them with bounds that bind. `make solver-study` does that for hundreds."""
@@ -66,9 +55,7 @@ def test_the_optimum_is_within_a_millionth_of_the_best_that_any_solver_finds(nam
 def test_without_noise_nothing_is_left(name) -> None:
     problem = workspace_problem(40, 1, noise_m=0.0)
     found = minimise(problem, objective_named(name))
-    assert (
-        norms(problem.residuals(found.x)).max() < 1e-8
-    )  # some nanometres: what the search takes for nothing
+    assert norms(problem.residuals(found.x)).max() < 1e-8  # some nanometres: what the search takes for nothing
     assert found.is_converged
 
 
@@ -86,8 +73,7 @@ def test_every_fifth_point_may_be_wrong_by_centimetres(name) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "m"),
-    [("lsq", 4), ("huber", 7), night("e2", 4), night("e2", 7), night("lsq", 7), night("e1", 4)],
+    ("name", "m"), [("lsq", 4), ("huber", 7), night("e2", 4), night("e2", 7), night("lsq", 7), night("e1", 4)]
 )
 def test_a_handful_of_points_is_fitted_exactly_and_said_to_be(name, m) -> None:
     """12 or 21 coordinates, 10 determined combinations: 4 points leave nothing, 7 leave a little."""
@@ -117,9 +103,7 @@ def test_an_arm_in_modified_convention_with_a_tool(name) -> None:
     rng = np.random.default_rng(6)
     true = MODIFIED_DH + deviations(rng, 5)
     q = rng.uniform(-1.2, 1.2, (60, 4))
-    problem = problem_of_tips(
-        MODIFIED, MODIFIED_DH, q, MODIFIED.tips(true, q) + rng.normal(0.0, 0.0002, (60, 3))
-    )
+    problem = problem_of_tips(MODIFIED, MODIFIED_DH, q, MODIFIED.tips(true, q) + rng.normal(0.0, 0.0002, (60, 3)))
     found = minimise(problem, objective_named(name))
     other = best_of_starts(problem, found.objective, 3, 11)
     assert found.value <= other.value * (1.0 + MILLIONTH)

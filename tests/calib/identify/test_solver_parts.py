@@ -39,10 +39,7 @@ def test_the_expansion_has_the_derivatives_of_the_value(name) -> None:
             up, down = residuals + step, residuals - step
             slope = (value_of(objective, up, smoothing_m) - value_of(objective, down, smoothing_m)) / (2 * h)
             assert pull[point, axis] == pytest.approx(slope, abs=1e-8)
-            turn = (
-                objective.expansion(up, smoothing_m, None)[0]
-                - objective.expansion(down, smoothing_m, None)[0]
-            ) / (2 * h)
+            turn = (objective.expansion(up, smoothing_m, None)[0] - objective.expansion(down, smoothing_m, None)[0]) / (2 * h)
             np.testing.assert_allclose(whole[:, axis, point], turn[point], atol=1e-7)
 
 
@@ -68,9 +65,7 @@ def test_huber_bends_where_least_squares_keep_95_percent_of_their_efficiency() -
     density = np.sqrt(2.0 / np.pi) * s**2 * np.exp(-0.5 * s**2)
     divergence = np.where(s <= HUBER_BEND, 3.0, 2.0 * HUBER_BEND / s)
     psi = np.minimum(s, HUBER_BEND)
-    efficiency = (np.trapezoid(divergence * density, s) / 3.0) ** 2 / (
-        np.trapezoid(psi**2 * density, s) / 3.0
-    )
+    efficiency = (np.trapezoid(divergence * density, s) / 3.0) ** 2 / (np.trapezoid(psi**2 * density, s) / 3.0)
     assert efficiency == pytest.approx(0.95, abs=1e-4)
 
 
@@ -98,14 +93,11 @@ def test_second_derivatives_are_those_of_the_gradient(arm) -> None:
     h = 1e-5  # central differences are then good to some 1e-8 of the largest
     numeric = np.array(
         [
-            (problem.expanded(x + h * unit).gradient(pull) - problem.expanded(x - h * unit).gradient(pull))
-            / (2 * h)
+            (problem.expanded(x + h * unit).gradient(pull) - problem.expanded(x - h * unit).gradient(pull)) / (2 * h)
             for unit in np.eye(len(x))
         ]
     )
-    np.testing.assert_allclose(
-        problem.expanded(x).curvature(pull), numeric, atol=1e-8 * np.abs(numeric).max()
-    )
+    np.testing.assert_allclose(problem.expanded(x).curvature(pull), numeric, atol=1e-8 * np.abs(numeric).max())
 
 
 @ARMS
@@ -117,9 +109,7 @@ def test_sums_over_poses_are_those_of_the_jacobian(arm, form) -> None:
     m = len(problem)
     residuals, jacobian = problem.residuals_and_jacobian(x)
     bend = {"ones": None, "diagonal": rng.uniform(size=(3, m)), "matrices": rng.normal(size=(3, 3, m))}[form]
-    whole = (
-        np.eye(3)[:, :, None] * (np.ones((3, m)) if bend is None else bend) if form != "matrices" else bend
-    )
+    whole = np.eye(3)[:, :, None] * (np.ones((3, m)) if bend is None else bend) if form != "matrices" else bend
     gradient, gram = problem.expanded(x).sums(residuals, bend)
     np.testing.assert_allclose(gradient, np.einsum("mi,mik->k", residuals, jacobian), atol=1e-10)
     np.testing.assert_allclose(gram, np.einsum("mik,ijm,mjl->kl", jacobian, whole, jacobian), atol=1e-10)

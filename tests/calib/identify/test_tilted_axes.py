@@ -16,9 +16,7 @@ from calib.identify.solver import minimise
 
 
 @pytest.mark.parametrize(("tilt_rad", "said"), [(0.0, []), (0.003, [3.0])])
-def test_a_tilt_is_remarked_with_its_size_and_an_arm_without_one_is_not(
-    tilt_rad: float, said: list[float]
-) -> None:
+def test_a_tilt_is_remarked_with_its_size_and_an_arm_without_one_is_not(tilt_rad: float, said: list[float]) -> None:
     points, tilted = case(37), with_tilt_behind(ARM, 2)
     dh = np.array(tilted.dh)
     dh[tilt_row(tilted, 2), 3] += tilt_rad

@@ -46,11 +46,15 @@ def session(seed: int) -> tuple[Arm, Points]:
     link = Rotation.from_matrix(ForwardKinematics(true).link_transforms(q)[:, -1, :3, :3])
     seen = Rotation.from_rotvec(rng.normal(0.0, TURN_rad, (POSES, 3))) * CAMERA.inv() * link
     return true, make_points(
-        ["free"] * POSES, [str(k) for k in range(POSES)], [1] * POSES, q, tips,
+        ["free"] * POSES,
+        [str(k) for k in range(POSES)],
+        [1] * POSES,
+        q,
+        tips,
         extra={"frame": ("camera",) * POSES},
         orientation=seen.as_quat()[:, [3, 0, 1, 2]],
         covariance=np.column_stack((triangles(position), triangles(turn))),
-    )  # fmt: skip
+    )
 
 
 def unweighted(points: Points) -> Points:
@@ -62,11 +66,7 @@ def over_workspace_m(true: Arm, dh: np.ndarray) -> float:
     rng = np.random.default_rng(0)
     q = rng.uniform(-1.0, 1.0, (200, 3))
     a, b = ForwardKinematics(true).tips(q), ForwardKinematics(RIGHT.with_dh(dh)).tips(q)
-    return float(
-        np.sqrt(
-            np.mean((np.linalg.norm(a[1:] - a[:-1], axis=1) - np.linalg.norm(b[1:] - b[:-1], axis=1)) ** 2)
-        )
-    )
+    return float(np.sqrt(np.mean((np.linalg.norm(a[1:] - a[:-1], axis=1) - np.linalg.norm(b[1:] - b[:-1], axis=1)) ** 2)))
 
 
 @pytest.mark.parametrize("name", ["lsq", "e2", "e1"])
@@ -83,9 +83,11 @@ def test_derivatives_of_weighted_points_are_exact(name: str) -> None:
     gradient, gram = expanded.sums(pull, bend)
     rows = jacobian.reshape(-1, len(x))
     assert np.allclose(gradient, rows.T @ pull.ravel(), atol=1e-9)
-    matrix = np.zeros((len(pull), 3, 3)) + np.eye(3) if bend is None else (
-        np.einsum("im,ij->mij", bend, np.eye(3)) if bend.ndim == 2 else np.moveaxis(bend, 2, 0)
-    )  # fmt: skip
+    matrix = (
+        np.zeros((len(pull), 3, 3)) + np.eye(3)
+        if bend is None
+        else (np.einsum("im,ij->mij", bend, np.eye(3)) if bend.ndim == 2 else np.moveaxis(bend, 2, 0))
+    )
     wanted = np.einsum("mik,mij,mjl->kl", jacobian, matrix, jacobian)
     assert np.allclose(gram, wanted, atol=1e-9 * np.abs(wanted).max())
 
@@ -123,9 +125,7 @@ def test_full_poses_determine_all_that_this_arm_has() -> None:
 def test_a_calibration_from_a_camera_leaves_the_table_where_it_is() -> None:
     _, points = session(4)
     nominal = dataclasses.replace(RIGHT, tool=Tool(RIGHT.tool.position_m))
-    made = calibrate(
-        nominal, points, CalibrationPlan(objective=objective_named("lsq"), starts_count=1, leave_out=2)
-    )
+    made = calibrate(nominal, points, CalibrationPlan(objective=objective_named("lsq"), starts_count=1, leave_out=2))
     assert not [effect for effect in made.arm.effects if effect.effect == "base_frame"]
     assert [frame.name for frame in made.found.solution.frames if frame.is_free] == ["camera"]
     assert made.floor is not None
@@ -138,23 +138,17 @@ def test_a_calibration_from_a_camera_leaves_the_table_where_it_is() -> None:
     first = matrices_of(in_base.covariance[0, :6])
     assert np.linalg.eigvalsh(first) == pytest.approx([ACROSS_m**2, ACROSS_m**2, ALONG_m**2], rel=1e-3)
     compared = compare_arms(nominal, made.arm, points)  # a camera's frame is put where each model fits best
-    assert np.mean(np.linalg.norm(compared.after_m, axis=1)) < 0.3 * np.mean(
-        np.linalg.norm(compared.before_m, axis=1)
-    )
+    assert np.mean(np.linalg.norm(compared.after_m, axis=1)) < 0.3 * np.mean(np.linalg.norm(compared.before_m, axis=1))
 
 
-def test_covariances_survive_a_file_and_commands_that_need_the_base_frame_refuse_a_cameras(
-    tmp_path: Path,
-) -> None:
+def test_covariances_survive_a_file_and_commands_that_need_the_base_frame_refuse_a_cameras(tmp_path: Path) -> None:
     _, points = session(5)
     file = tmp_path / "points.csv"
     write_points(file, points)
     again, warnings = read_points(file, 3)
     assert warnings == ()
     assert np.allclose(again.covariance, points.covariance, rtol=1e-6, atol=0.0)
-    with pytest.raises(
-        UnusablePointsError, match=r"gap: the points are in a camera's frame .* points_base\.csv"
-    ):
+    with pytest.raises(UnusablePointsError, match=r"gap: the points are in a camera's frame .* points_base\.csv"):
         base_points_for(RIGHT, [file], "gap")
     write_points(tmp_path / "other.csv", dataclasses.replace(points, extra={}))
     with pytest.raises(UnusablePointsError, match="cannot be used together"):
@@ -176,7 +170,7 @@ GOOD = "free,1,1,0,0,0,0,1e-8,0,0,1e-8,0,1e-8\n"
         (HEAD.replace(",cov_yz_m2", "") + "\n" + GOOD, "column cov_yz_m2 is missing beside cov_xx_m2"),
         (HEAD.replace("x_m,y_m,z_m,", "", 1) + "\n" + GOOD, "columns x_m, y_m, z_m are missing beside cov_xx_m2"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_covariance_names_line_and_column(text: str, says: str, tmp_path: Path) -> None:
     file = tmp_path / "points.csv"
     file.write_text(text, encoding="utf-8")

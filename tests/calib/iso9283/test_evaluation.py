@@ -35,11 +35,7 @@ def arm() -> Arm:
 
 
 def visits(
-    arm: Arm,
-    setups: Sequence[str] = ("pose",),
-    names: Sequence[str] = ("P1", "P2", "P4"),
-    n: int = 10,
-    **keys: object,
+    arm: Arm, setups: Sequence[str] = ("pose",), names: Sequence[str] = ("P1", "P2", "P4"), n: int = 10, **keys: object
 ) -> Points:
     """Visits of poses, off by OFFSET with noise."""
     rng, solver, poses = np.random.default_rng(1), solver_of(arm, CUBE), CUBE.poses()
@@ -56,9 +52,7 @@ def found(arm: Arm, points: Points, runs: Sequence[RecordedRun] = (), **keys: ob
     return {c.number: c for c in evaluate(groups, runs, **keys).criteria}  # type: ignore[arg-type]
 
 
-def line_run(
-    arm: Arm, number: int, programme: str = "line", y_m: float = 0.0, noise_m: float = 0.0
-) -> RecordedRun:
+def line_run(arm: Arm, number: int, programme: str = "line", y_m: float = 0.0, noise_m: float = 0.0) -> RecordedRun:
     """0.3 m along x in 3 s between two rests, attained at y_m."""
     t = np.arange(0.0, 4.0, 0.01)
     x = 0.1 * np.clip(t - 0.2, 0.0, 3.0)
@@ -103,9 +97,7 @@ def test_visits_without_a_measured_tip_are_said_and_not_counted(arm: Arm) -> Non
     of = found(arm, make_points(whole.setup, whole.point, whole.repeat, whole.q_rad, tip))
     assert any("in 1 of 30 visits: of P1" in need for need in of[1].needs)
     assert {f.count for f in of[1].figures if f.where == "P1"} == {9}
-    nothing = found(
-        arm, make_points(whole.setup, whole.point, whole.repeat, whole.q_rad, np.full_like(tip, np.nan))
-    )
+    nothing = found(arm, make_points(whole.setup, whole.point, whole.repeat, whole.q_rad, np.full_like(tip, np.nan)))
     assert not nothing[1].figures
     assert any("by a camera" in need for need in nothing[1].needs)
 
@@ -127,11 +119,7 @@ def test_commanded_positions_are_the_columns_else_the_angles_through_the_arm(arm
     for extra, says, wanted in (
         ({}, "encoder angles", CUBE.centre_m),
         (columns, "columns x_set_m", (0.1, 0.1, 0.1)),
-        (
-            {f"q{j}_set_rad": tuple(["0.1"] * n) for j in (1, 2, 3)},
-            "set-points",
-            ForwardKinematics(arm).tip(0.1, 0.1, 0.1),
-        ),
+        ({f"q{j}_set_rad": tuple(["0.1"] * n) for j in (1, 2, 3)}, "set-points", ForwardKinematics(arm).tip(0.1, 0.1, 0.1)),
     ):
         points = make_points(plain.setup, plain.point, plain.repeat, plain.q_rad, plain.tip_m, extra=extra)
         groups, notes = pose_groups(points, arm, Path("points.csv"))
@@ -174,9 +162,7 @@ def test_directions_drift_and_loads_are_known_by_their_setups(arm: Arm) -> None:
     tip[setup == "drift_2"] += 0.6 * OFFSET
     mass = np.where(setup == "load", np.arange(len(setup)) % 5 * 1.0, 0.0)
     tip[setup == "load"] += np.outer(mass[setup == "load"], (0, 0, -9.81e-4))  # 0.1 mm/N
-    of = found(
-        arm, make_points(rows.setup, rows.point, rows.repeat, rows.q_rad, tip, t_s=rows.t_s, payload_kg=mass)
-    )
+    of = found(arm, make_points(rows.setup, rows.point, rows.repeat, rows.q_rad, tip, t_s=rows.t_s, payload_kg=mass))
     assert of[2].headlines[0].value == pytest.approx(2e-3, abs=3e-4)
     assert {f.symbol: f.value for f in of[6].figures}["dAP_p"] == pytest.approx(3e-3, abs=2e-4)
     assert of[13].headlines[0].symbol == "per N along z"
@@ -276,9 +262,7 @@ LOG = "run,t_s,q1_rad,q2_rad,q3_rad,q1_set_rad,q2_set_rad,q3_set_rad"
         (LOG + "\n1,0,0,0,0,,0,0\n", "two rows or more with set-points, got none"),
     ],
 )
-def test_a_log_that_is_none_is_refused_with_line_and_column(
-    arm: Arm, tmp_path: Path, text: str, says: str
-) -> None:
+def test_a_log_that_is_none_is_refused_with_line_and_column(arm: Arm, tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "log.csv").write_text(text)
     with pytest.raises(Iso9283Error, match=says):
         read_runs(tmp_path / "log.csv", arm)
@@ -291,9 +275,7 @@ def test_a_log_in_degrees_is_doubted_unless_it_is_taken_at_its_word(arm: Arm, tm
         read_runs(tmp_path / "log.csv", arm)
 
 
-def test_tips_are_those_of_the_joints_where_the_recording_tells_them_from_the_encoders(
-    arm: Arm, tmp_path: Path
-) -> None:
+def test_tips_are_those_of_the_joints_where_the_recording_tells_them_from_the_encoders(arm: Arm, tmp_path: Path) -> None:
     joints = ",".join(form.format(j) for form in ("joint{}_rad", "joint{}_set_rad") for j in (1, 2, 3))
     encoders, where, wanted = "0,-0.6,0.2", "0.1,-0.6,0.2", "0.1,-0.5,0.2"
     rows = "".join(f"1,{t},{encoders},{encoders},{where},{wanted}\n" for t in (0.0, 0.1))
@@ -307,9 +289,7 @@ def test_tips_are_those_of_the_joints_where_the_recording_tells_them_from_the_en
 def test_a_programme_file_of_something_else_is_refused(tmp_path: Path) -> None:
     for text in ("{}", "[1]", "not json", '{"format": "iso9283-programme/1", "rectangle_m": [[1, 2]]}'):
         (tmp_path / "programme.json").write_text(text)
-        with pytest.raises(
-            Iso9283Error, match=r"programme.json(, (format|rectangle_m): expected|: not JSON)"
-        ):
+        with pytest.raises(Iso9283Error, match=r"programme.json(, (format|rectangle_m): expected|: not JSON)"):
             read_rectangle(tmp_path / "programme.json")
 
 

@@ -17,9 +17,7 @@ def sampled(start: object, end: object, count: int = 41) -> np.ndarray:
     return np.asarray(start) + share * (np.asarray(end, dtype=float) - np.asarray(start))
 
 
-def crossed(
-    commanded: np.ndarray, attained: list[np.ndarray], count: int = 20
-) -> tuple[np.ndarray, np.ndarray]:
+def crossed(commanded: np.ndarray, attained: list[np.ndarray], count: int = 20) -> tuple[np.ndarray, np.ndarray]:
     points, tangents = path.calculation_points(commanded, count, 0.05)
     return points, np.stack([path.crossings(points, tangents, one) for one in attained])
 
@@ -27,9 +25,7 @@ def crossed(
 def test_a_path_that_lies_beside_is_as_far_off_as_it_lies() -> None:
     beside = [sampled((-0.01, y, 0.004), (0.41, y, 0.004), 37) for y in (0.002, 0.004)]
     points, attained = crossed(LINE, beside)
-    assert path.path_accuracy(points, attained).total_m == pytest.approx(
-        5 * MM, abs=1e-12
-    )  # barycentre (3, 4) mm
+    assert path.path_accuracy(points, attained).total_m == pytest.approx(5 * MM, abs=1e-12)  # barycentre (3, 4) mm
     # l = 1 mm in both cycles, without scatter: RT = 1 mm
     assert path.path_repeatability(points, attained).total_m == pytest.approx(1 * MM, abs=1e-12)
 
@@ -46,9 +42,7 @@ def test_path_repeatability_is_mean_plus_three_sd_where_it_is_largest() -> None:
 
 def test_speed_along_the_path_and_where_samples_fall_make_no_deviation() -> None:
     circle = np.array([(0.1 * np.cos(a), 0.1 * np.sin(a), 0) for a in np.linspace(0, 2 * np.pi, 400)])
-    uneven = np.array(
-        [(0.1 * np.cos(a), 0.1 * np.sin(a), 0) for a in 2 * np.pi * np.linspace(0, 1, 300) ** 1.5]
-    )
+    uneven = np.array([(0.1 * np.cos(a), 0.1 * np.sin(a), 0) for a in 2 * np.pi * np.linspace(0, 1, 300) ** 1.5])
     points, attained = crossed(circle, [uneven, uneven[::-1][::-1]])
     # Chords of 2 pi 0.1 / 200 leave 0.1 (1 - cos) = 12 um at most.
     assert path.path_accuracy(points, attained).total_m < 2e-5
@@ -133,9 +127,7 @@ def test_an_arm_that_enters_and_stays_has_no_stabilization_time_and_no_overshoot
     assert pose.stabilization_time(time_s, tip, rest, 1 * MM) == 0.0
     assert pose.overshoot(time_s, tip, rest, 1 * MM) == 0.0
     # e^(-t / 0.5) 100 mm = 1 mm at 0.5 ln 100
-    assert pose.posing_time(time_s, tip, 0.0, np.zeros(3), 1 * MM) == pytest.approx(
-        0.5 * np.log(100), abs=0.01
-    )
+    assert pose.posing_time(time_s, tip, 0.0, np.zeros(3), 1 * MM) == pytest.approx(0.5 * np.log(100), abs=0.01)
 
 
 def test_overshoot_of_a_ringing_arm_is_its_first_swing_beyond() -> None:
@@ -168,9 +160,7 @@ def test_a_corner_that_is_cut_is_rounded_off_and_one_that_is_overrun_overshoots(
         path.corner_overshoot(corner, first, first, 0.1, [cut])
 
 
-def weave(
-    stroke_m: float, frequency_Hz: float, tilt: float = 0.0, noise_m: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def weave(stroke_m: float, frequency_Hz: float, tilt: float = 0.0, noise_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     time_s = np.arange(0.0, 5.0, 0.01)
     y = 0.5 * stroke_m * np.sin(2 * np.pi * frequency_Hz * time_s) + tilt * time_s
     tip = np.column_stack((0.05 * time_s, y, 0 * y))

@@ -52,15 +52,11 @@ def test_repeatability_of_normal_noise_is_what_the_maxwell_distribution_says() -
 
 def test_orientation_accuracy_and_repeatability_go_around_the_half_turn() -> None:
     commanded = (3.1, 0.0, 0.0)
-    attained = np.array(
-        [(3.14, 0.01, 0.0), (-3.14, 0.03, 0.0)]
-    )  # -3.14 is 3.1432: 0.0432 ahead of the command
+    attained = np.array([(3.14, 0.01, 0.0), (-3.14, 0.03, 0.0)])  # -3.14 is 3.1432: 0.0432 ahead of the command
     found = pose.orientation_accuracy(commanded, attained)
     assert found == pytest.approx([(0.04 + 2 * np.pi - 6.24) / 2, 0.02, 0.0], abs=1e-12)
     scatter = pose.orientation_repeatability(attained)
-    assert scatter == pytest.approx(
-        [3 * (2 * np.pi - 6.28) / np.sqrt(2), 3 * 0.02 / np.sqrt(2), 0.0], abs=1e-12
-    )
+    assert scatter == pytest.approx([3 * (2 * np.pi - 6.28) / np.sqrt(2), 3 * 0.02 / np.sqrt(2), 0.0], abs=1e-12)
 
 
 def test_multidirectional_variation_is_the_largest_distance_between_barycentres() -> None:
@@ -108,10 +104,7 @@ def test_where_the_frame_stands_changes_no_figure() -> None:
         lambda c, a, b: pose.distance_repeatability(a, b).total_m,
         lambda c, a, b: pose.drift(c, a, b).accuracy_m,
     ):
-        before, after = (
-            figure(commanded, attained, other),
-            figure(turned(commanded), turned(attained), turned(other)),
-        )
+        before, after = (figure(commanded, attained, other), figure(turned(commanded), turned(attained), turned(other)))
         assert after == pytest.approx(before, rel=1e-12, abs=1e-12)
 
 
@@ -127,9 +120,7 @@ def test_the_standard_deviation_of_a_compliance_is_that_of_its_scatter() -> None
     rng, forces = np.random.default_rng(8), np.tile([(0.0, 0, k) for k in range(11)], (3, 1))
     runs = [static_compliance(forces, rng.normal(scale=1e-5, size=forces.shape)) for _ in range(400)]
     said = np.sqrt(np.mean([run.sd_m_N[0, 2] ** 2 for run in runs]))
-    assert np.std([run.m_N[0, 2] for run in runs]) == pytest.approx(
-        said, rel=0.15
-    )  # 400 draws: 3.5 % and margin
+    assert np.std([run.m_N[0, 2] for run in runs]) == pytest.approx(said, rel=0.15)  # 400 draws: 3.5 % and margin
     assert np.isnan(static_compliance(forces[:2], forces[:2]).sd_m_N).all()
 
 
@@ -148,7 +139,7 @@ def test_the_standard_deviation_of_a_compliance_is_that_of_its_scatter() -> None
         (lambda: static_compliance([(0, 0, 1.0)] * 3, SQUARE[:3]), "two different loads"),
         (lambda: static_compliance([(0, 0, 0.0), (0, 1, 1), (0, 2, 2)], SQUARE[:3]), "one axis at a time"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_said(call: object, says: str) -> None:
     with pytest.raises(Iso9283Error, match=says):
         call()  # type: ignore[operator]

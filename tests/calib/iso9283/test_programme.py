@@ -10,16 +10,7 @@ import pytest
 
 from calib.iso9283 import programme as programmes
 from calib.iso9283.criteria.pose import Iso9283Error
-from calib.iso9283.programme import (
-    CLEARANCE_m,
-    Extent,
-    PathRun,
-    TestCube,
-    Visit,
-    largest_cube,
-    solver_of,
-    steps,
-)
+from calib.iso9283.programme import CLEARANCE_m, Extent, PathRun, TestCube, Visit, largest_cube, solver_of, steps
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -60,9 +51,7 @@ def test_the_circle_is_one_and_as_wide_as_said() -> None:
 
 
 def test_by_default_the_counts_are_the_standards() -> None:
-    visits = Counter(
-        (s.setup, s.point) for s in steps(CUBE, Extent(rated_load_kg=1.0), 0.5) if isinstance(s, Visit)
-    )
+    visits = Counter((s.setup, s.point) for s in steps(CUBE, Extent(rated_load_kg=1.0), 0.5) if isinstance(s, Visit))
     assert {visits[("pose", p)] for p in CUBE.poses()} == {30}
     assert {visits[(f"from_{a}", p)] for a in "xyz" for p in ("P1", "P2", "P4")} == {30}
     assert visits[("distance", "P2")] == visits[("distance", "P4")] == 30
@@ -84,10 +73,7 @@ def test_posing_visits_lie_on_the_way_from_p2_to_p4_as_far_as_their_names_say() 
         away = np.asarray(visit.tip_m) - start
         assert float(visit.point.removesuffix(" mm")) == pytest.approx(1e3 * away @ along, abs=0.5)
         assert np.linalg.norm(away - (away @ along) * along) < 1e-12
-    assert (
-        max(float(visit.point.removesuffix(" mm")) for visit in visits)
-        <= 1e3 * np.linalg.norm(end - start) + 0.5
-    )
+    assert max(float(visit.point.removesuffix(" mm")) for visit in visits) <= 1e3 * np.linalg.norm(end - start) + 0.5
 
 
 def test_no_two_visits_or_runs_have_the_same_name_so_that_a_recording_can_go_on() -> None:
@@ -101,13 +87,9 @@ def test_no_two_visits_or_runs_have_the_same_name_so_that_a_recording_can_go_on(
 def test_the_three_approaches_to_a_pose_are_perpendicular_and_from_inside_the_cube() -> None:
     visits = [s for s in steps(CUBE, replace(SMALL, programmes=("directions",)), 0.5) if isinstance(s, Visit)]
     for name in ("P1", "P2", "P4"):
-        ways = np.array(
-            [np.subtract(s.via_m or s.tip_m, s.tip_m) for s in visits if s.point == name and s.repeat == 1]
-        )
+        ways = np.array([np.subtract(s.via_m or s.tip_m, s.tip_m) for s in visits if s.point == name and s.repeat == 1])
         assert ways @ ways.T == pytest.approx(np.diag([(0.2 * CUBE.edge_m) ** 2] * 3))
-    assert all(
-        np.abs(np.subtract(s.via_m or s.tip_m, CUBE.centre_m)).max() <= 0.5 * CUBE.edge_m for s in visits
-    )
+    assert all(np.abs(np.subtract(s.via_m or s.tip_m, CUBE.centre_m)).max() <= 0.5 * CUBE.edge_m for s in visits)
 
 
 def test_drift_sets_are_spread_over_the_time() -> None:

@@ -38,10 +38,7 @@ from tests.cell import FRICTION, RIGHT, Cell, holding_cell, scenario
 
 WIDTH_rad = 0.008
 # Of every three points of the recording, two came with joint 1 turning forwards: a calibration puts its zero there.
-BELIEVED = dataclasses.replace(
-    RIGHT,
-    links=(dataclasses.replace(RIGHT.links[0], theta_rad=-0.5 * WIDTH_rad), *RIGHT.links[1:]),
-)
+BELIEVED = dataclasses.replace(RIGHT, links=(dataclasses.replace(RIGHT.links[0], theta_rad=-0.5 * WIDTH_rad), *RIGHT.links[1:]))
 STOPS = Waypoints(((0.45, 0.05, 0.2), (0.45, -0.05, 0.2)), None)
 LEAN_m = np.array([0.04, 0.0, -0.02])  # per metre of x: an error that grows outwards
 
@@ -70,9 +67,7 @@ def leaning() -> Predictor:
 
 
 def predictor(arm: Arm, q: Array, tips: Array, sides: Array) -> Predictor:
-    points: Points = make_points(
-        ["free"] * len(q), [f"p{k}" for k in range(len(q))], [1] * len(q), q, tips, sides
-    )
+    points: Points = make_points(["free"] * len(q), [f"p{k}" for k in range(len(q))], [1] * len(q), q, tips, sides)
     return trust_in(arm, points, MapRequest(poses_count=200, is_checked=False)).predictor
 
 
@@ -105,9 +100,7 @@ def test_stops_that_keep_the_play_on_one_side_are_better_by_the_camera_of_a_mock
     plan = stops_with_play()
     assert (plan.chosen.poses.direction[:, 0] == 1.0).all()
     assert plan.chosen.cost.rms_m < 0.3 * plan.plain.cost.rms_m
-    hidden = scenario(
-        q_rad=(0.0, -0.5, -0.2), effect=(*FRICTION, EffectTable("backlash", 1, {"width_rad": WIDTH_rad}))
-    )
+    hidden = scenario(q_rad=(0.0, -0.5, -0.2), effect=(*FRICTION, EffectTable("backlash", 1, {"width_rad": WIDTH_rad})))
     with holding_cell(hidden, RIGHT, believed=BELIEVED) as cell:
         given_m, planned_m = seen_m(plan.plain, cell), seen_m(plan.chosen, cell)
     assert planned_m < 0.5 * given_m
@@ -118,9 +111,7 @@ def test_a_path_moves_to_where_the_error_is_least() -> None:
     assert plan.chosen.shift_m[0] == pytest.approx(-0.1)
     assert plan.chosen.cost.rms_m < 0.95 * plan.plain.cost.rms_m
     assert next(name for name, _ in plan.steps) == "place"
-    given, planned = (
-        norms(np.array(way.waypoints.points)[:, :1] * LEAN_m).mean() for way in (plan.plain, plan.chosen)
-    )
+    given, planned = (norms(np.array(way.waypoints.points)[:, :1] * LEAN_m).mean() for way in (plan.plain, plan.chosen))
     assert planned < given
 
 
@@ -212,9 +203,7 @@ def test_what_cannot_be_reached_as_given_is_an_error() -> None:
     with pytest.raises(PathError, match="way-point 2"):
         planned_path(RIGHT, leaning(), far, Freedom((0.1, 0.1, 0.0)))
     with pytest.raises(CalibrationError, match="takes positions"):
-        planned_stops(
-            RIGHT, leaning(), dataclasses.replace(far, orientations=((1.0, 0.0, 0.0, 0.0),) * 2), Freedom()
-        )
+        planned_stops(RIGHT, leaning(), dataclasses.replace(far, orientations=((1.0, 0.0, 0.0, 0.0),) * 2), Freedom())
     assert NOWHERE == (0.0, 0.0, 0.0)
 
 

@@ -108,16 +108,10 @@ def test_a_bad_file_is_one_message_with_file_line_and_column(tmp_path: Path, tex
     ("name", "content", "remedy"),
     [
         ("run.armlog", b"ARMLOG2\n\xff", "`armwright export` makes a log.csv.gz of it"),
-        (
-            "points.csv",
-            GOOD.encode("utf-16"),
-            "save it in UTF-8; `armwright import-points` reads other encodings",
-        ),
+        ("points.csv", GOOD.encode("utf-16"), "save it in UTF-8; `armwright import-points` reads other encodings"),
     ],
 )
-def test_what_is_no_text_is_refused_with_what_to_do(
-    tmp_path: Path, name: str, content: bytes, remedy: str
-) -> None:
+def test_what_is_no_text_is_refused_with_what_to_do(tmp_path: Path, name: str, content: bytes, remedy: str) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(PointsFileError, match=f"{name}: byte [0-9]+ is not UTF-8 text: .*; {remedy}"):
         read_points(tmp_path / name)
@@ -131,9 +125,7 @@ def test_another_joint_count_than_expected_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content",
-    [gzip.compress(GOOD.encode(), mtime=0)[:-9], b"not gzip", b"\xff\xfe\x00"],
-    ids=["cut off", "no gzip", "binary"],
+    "content", [gzip.compress(GOOD.encode(), mtime=0)[:-9], b"not gzip", b"\xff\xfe\x00"], ids=["cut off", "no gzip", "binary"]
 )
 def test_a_damaged_file_is_one_message(tmp_path: Path, content: bytes) -> None:
     for name in ("points.csv.gz", "points.csv"):
@@ -145,9 +137,7 @@ def test_a_damaged_file_is_one_message(tmp_path: Path, content: bytes) -> None:
 
 
 def record(point: int, tip: tuple[float, float, float] | None = (0.5, 0.0, 0.0)) -> Record:
-    return Record(
-        "normal", str(point), 1, (0.1, point * 0.01), (1e-5, 2e-5), (1, -1), (0.2, 1.4), 8.0 * point, 0.0, tip
-    )
+    return Record("normal", str(point), 1, (0.1, point * 0.01), (1e-5, 2e-5), (1, -1), (0.2, 1.4), 8.0 * point, 0.0, tip)
 
 
 def test_an_interrupted_session_goes_on_where_it_was(tmp_path: Path) -> None:
@@ -212,9 +202,7 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
         "for k in itertools.count():\n"
         "    writer.append(Record('n', str(k), 1, (0.1,), (0.0,), (1,), (0.5,), 1.0, 0.0, None)); print(k, flush=True)\n"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
-    ) as child:
+    with subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         said = [child.stdout.readline() for _ in range(20)]
         os.kill(child.pid, signal.SIGKILL)

@@ -33,9 +33,7 @@ def test_semicolons_decimal_commas_latin_1_degrees_and_millimetres_are_read(tmp_
 
 
 def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> None:
-    points = points_of(
-        tmp_path / "t.csv", "q1_rad,q2_rad,q3_rad,tip x (m),tip y (m),tip z (m)\n1,2,3,0.1,0.2,0.3\n"
-    )
+    points = points_of(tmp_path / "t.csv", "q1_rad,q2_rad,q3_rad,tip x (m),tip y (m),tip z (m)\n1,2,3,0.1,0.2,0.3\n")
     np.testing.assert_allclose(points.q_rad, [[1.0, 2.0, 3.0]])
     np.testing.assert_allclose(points.tip_m, [[0.1, 0.2, 0.3]])
 
@@ -43,22 +41,12 @@ def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("header", "asks", "choices"),
     [
-        *(
-            (f"q1 {unit};q2 {unit};q3 {unit};x mm;y mm;z mm", f"the unit of q1 {unit}", ("rad", "deg"))
-            for unit in NO_ANGLES
-        ),
-        *(
-            (f"q1 deg;q2 deg;q3 deg;x {unit};y {unit};z {unit}", f"the unit of x {unit}", ("m", "mm"))
-            for unit in NO_LENGTHS
-        ),
+        *((f"q1 {unit};q2 {unit};q3 {unit};x mm;y mm;z mm", f"the unit of q1 {unit}", ("rad", "deg")) for unit in NO_ANGLES),
+        *((f"q1 deg;q2 deg;q3 deg;x {unit};y {unit};z {unit}", f"the unit of x {unit}", ("m", "mm")) for unit in NO_LENGTHS),
         ("q1;q2;q3;x [mm];y [mm];z [mm]", "the unit of q1, q2, q3: answer with --angles", ("rad", "deg")),
         ("q1 deg;q2 deg;q3 deg;x;y;z", "the unit of x, y, z: answer with --lengths", ("m", "cm", "mm", "in")),
         ("q1 deg;q2 rad;q3 deg;x mm;y mm;z mm", "the unit of q1 deg, q2 rad, q3 deg", ("rad", "deg")),
-        (
-            "a deg;q2 deg;q3 deg;x mm;y mm;z mm",
-            "which column is q1_rad: answer with --columns q1_rad=",
-            ("a deg",),
-        ),
+        ("a deg;q2 deg;q3 deg;x mm;y mm;z mm", "which column is q1_rad: answer with --columns q1_rad=", ("a deg",)),
         ("q1 deg;q2 deg;q3 deg;x mm;y mm;z mm;x mm soll", "which column is x_m", ("x mm", "x mm soll")),
     ],
 )
@@ -88,14 +76,16 @@ ENGLISH = "q1 deg;q2 deg;q3 deg;x mm;y mm;z mm;point;repeat\n"
     ("row", "said"),
     [
         ("1,5;2;3;1.400;50;300;a;1", 'column x mm: got "1.400", expected a number with a decimal comma'),
-        *((f"1;2;3;{cell};50;300;a;1", f'column x mm: got "{cell}", expected a number')
-          for cell in ("nan", "inf", "1e999", "4_0", "\u0664", "", "-")),
+        *(
+            (f"1;2;3;{cell};50;300;a;1", f'column x mm: got "{cell}", expected a number')
+            for cell in ("nan", "inf", "1e999", "4_0", "\u0664", "", "-")
+        ),
         ("1;2;3;4;5;6;a;1.5", "column repeat: got 1.5, expected whole numbers"),
         ("1;2;3;4;5;6;a;nan", 'column repeat: got "nan", expected a number'),
         ("1;2;3;4;5;6;;1", "line 2, column point: got an empty cell, expected a name"),
         (f"1;2;3;4;5;{'6' * 200_000};a;1", "no table"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_value_is_refused(row: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(PointsFileError, match=said):
         points_of(tmp_path / "t.csv", f"{ENGLISH}{row}\n")
@@ -106,9 +96,7 @@ def test_an_answer_about_no_column_of_ours_is_refused(tmp_path: Path) -> None:
         points_of(tmp_path / "t.csv", f"{ENGLISH}1;2;3;4;5;6;a;1\n", tipx="x mm")
 
 
-def test_rows_with_the_same_angles_are_repeats_of_one_point_whatever_their_running_number(
-    tmp_path: Path,
-) -> None:
+def test_rows_with_the_same_angles_are_repeats_of_one_point_whatever_their_running_number(tmp_path: Path) -> None:
     text = GERMAN.replace("Stelle", "Punkt") + "1;1;2;3;4;5;6;\n2;7;8;9;4;5;6;\n3;1;2;3;4;5;7;\n"
     points = points_of(tmp_path / "t.csv", text)
     assert (points.point, points.repeat) == (("1", "2", "1"), (1, 1, 2))

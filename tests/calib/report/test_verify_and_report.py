@@ -60,9 +60,7 @@ def comparison_of(before_mm, after_mm, setups):
 
 def test_improvement_is_of_the_means_per_setup() -> None:
     """The paper's own figures: 26.850 to 16.436 mm is 38.79 % better, to 22.207 mm 17.29 %."""
-    found = comparison_of(
-        [26.85] * 4, [16.436, 16.436, 22.207, 22.207], ["normal", "normal", "pitch", "pitch"]
-    )
+    found = comparison_of([26.85] * 4, [16.436, 16.436, 22.207, 22.207], ["normal", "normal", "pitch", "pitch"])
     assert found.of("normal").improvement_percent == pytest.approx(38.786, abs=0.01)
     assert found.of("pitch").improvement_percent == pytest.approx(17.292, abs=0.01)
     assert [entry.setup for entry in found.by_setup()] == ["normal", "pitch", "all"]
@@ -138,9 +136,7 @@ def test_a_path_counts_as_its_parts_not_as_its_frames() -> None:
     assert compare_tracks([]) is None
     planned, _ = parts_of(pair.before)
     middles = (np.arange(PARTS) + 0.5) * 2 * np.pi / PARTS
-    np.testing.assert_allclose(
-        np.arctan2(planned[:, 1], planned[:, 0] - 0.5) % (2 * np.pi), middles, atol=2e-3
-    )
+    np.testing.assert_allclose(np.arctan2(planned[:, 1], planned[:, 0] - 0.5) % (2 * np.pi), middles, atol=2e-3)
 
 
 def test_parts_where_the_tip_was_hidden_are_left_out() -> None:

@@ -143,9 +143,7 @@ class Bench:
                 while True:
                     self.said.append(saying)
                     if isinstance(saying, Ask):
-                        self.arm.log.append(
-                            f"{NAMES[saying.question]} {saying.target.name if saying.target else ''}".strip()
-                        )
+                        self.arm.log.append(f"{NAMES[saying.question]} {saying.target.name if saying.target else ''}".strip())
                     saying = talk.send(next(answers, QUIT) if isinstance(saying, Ask) else GO)
             except StopIteration:
                 pass

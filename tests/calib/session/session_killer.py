@@ -22,12 +22,7 @@ REDONE, SKIPPED, BAD = KEYS[1], KEYS[2], KEYS[4]
 WATCHED = ("session/folder.py", "session/journal.py", "points/writer.py")
 WHOLE = [Mark.DONE, Mark.DONE, Mark.SKIPPED, Mark.DONE, Mark.BAD, Mark.DONE]
 # After an acknowledgement the killed session may have gone on, but not back.
-MAY_FOLLOW = {
-    "record": {Mark.DONE},
-    "redo": {Mark.LEFT, Mark.DONE},
-    "skip": {Mark.SKIPPED},
-    "bad": {Mark.BAD},
-}
+MAY_FOLLOW = {"record": {Mark.DONE}, "redo": {Mark.LEFT, Mark.DONE}, "skip": {Mark.SKIPPED}, "bad": {Mark.BAD}}
 Acknowledge = Callable[[str, Key], None]
 
 
@@ -84,9 +79,7 @@ def _die_before(line: int) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
         return per_line
 
-    sys.settrace(
-        lambda frame, event, argument: per_line if frame.f_code.co_filename.endswith(WATCHED) else None
-    )
+    sys.settrace(lambda frame, event, argument: per_line if frame.f_code.co_filename.endswith(WATCHED) else None)
 
 
 def check(path: Path, acknowledged: dict[Key, str]) -> None:
@@ -129,7 +122,5 @@ def main(root: Path, stride: int) -> None:
 
 
 if __name__ == "__main__":
-    os.fsync = lambda file: (
-        None
-    )  # a killed process leaves its files to the system, which goes on: this saves seconds
+    os.fsync = lambda file: None  # a killed process leaves its files to the system, which goes on: this saves seconds
     main(Path(sys.argv[1]), int(sys.argv[2]))

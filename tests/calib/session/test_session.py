@@ -67,9 +67,7 @@ def test_an_arm_that_stands_low_over_the_board_is_lifted_straight_off_first(tmp_
 
 def test_an_arm_that_stands_high_is_not_lifted(tmp_path: Path) -> None:
     session = run(bench(tmp_path, ["1"]))
-    np.testing.assert_allclose(
-        session.arm.tips[0], tip_of("normal", "1") + np.array((0.0, 0.0, 0.06)), atol=1e-6
-    )
+    np.testing.assert_allclose(session.arm.tips[0], tip_of("normal", "1") + np.array((0.0, 0.0, 0.06)), atol=1e-6)
 
 
 def test_encoders_are_averaged_only_once_the_arm_rests(tmp_path: Path) -> None:

@@ -11,38 +11,38 @@ from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH
 from calib.boards import read_boards
 from calib.points.reading import read_points
 from calib.session.conduct import Boards
-from calib.session.conversation import (
-    GO,
-    Do,
-    SessionCommand,
-    SmallMove,
-)
+from calib.session.conversation import GO, Do, SessionCommand, SmallMove
 from calib.session.plan import Mark, board_targets, free_targets
 from calib.session.residual_watch import ResidualWatch
 from control.model.table import cavities
-from tests.calib.session.session_arm import (
-    ALL,
-    BAD,
-    GEOMETRY,
-    QUIT,
-    REDO,
-    RIGHT,
-    SKIP,
-    TABLE,
-    CavityHand,
-    NumericGeometry,
-    bench,
-)
+from tests.calib.session.session_arm import ALL, BAD, GEOMETRY, QUIT, REDO, RIGHT, SKIP, TABLE, CavityHand, NumericGeometry, bench
 
 
 def test_by_hand_nothing_moves_and_no_drive_lets_go_unasked(tmp_path: Path) -> None:
     session = bench(tmp_path, has_hand=False)
     session.run([GO] * 20)
     assert session.arm.log == [
-        "board normal 1", "next normal 1", "move", "take normal 1", "release", "seated normal 1", "hold", "hold",
-        "next normal 7", "move", "move", "move", "take normal 7", "release", "seated normal 7", "hold", "hold",
-        "done", "move", "move",
-    ]  # fmt: skip
+        "board normal 1",
+        "next normal 1",
+        "move",
+        "take normal 1",
+        "release",
+        "seated normal 1",
+        "hold",
+        "hold",
+        "next normal 7",
+        "move",
+        "move",
+        "move",
+        "take normal 7",
+        "release",
+        "seated normal 7",
+        "hold",
+        "hold",
+        "done",
+        "move",
+        "move",
+    ]
     points, _ = read_points(tmp_path / "s" / "points.csv", 3)
     assert points.point == ("1", "7")
 
@@ -61,9 +61,7 @@ def test_quitting_at_every_question_leaves_the_arm_held_and_the_session_goes_on_
         assert len(read_points(tmp_path / str(stop) / "s" / "points.csv", 3)[0]) == 2
 
 
-def test_a_session_resumed_with_the_tip_at_a_point_lifts_straight_off_before_it_goes_anywhere(
-    tmp_path: Path,
-) -> None:
+def test_a_session_resumed_with_the_tip_at_a_point_lifts_straight_off_before_it_goes_anywhere(tmp_path: Path) -> None:
     session = bench(tmp_path, has_hand=False, setups=("roll",))
     session.run([GO, GO, GO, QUIT])  # at "seated"
     session.arm.seat(cavities(TABLE, "roll")["1"])
@@ -80,9 +78,12 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1", "7", "13", "19"))
     session.run(
         [
-            GO, GO,  # board, 1
+            GO,
+            GO,  # board, 1
             REDO,  # of 1, asked about 7
-            GO, SessionCommand(Do.NOTE, text="windy"), GO,  # 1 again, 7
+            GO,
+            SessionCommand(Do.NOTE, text="windy"),
+            GO,  # 1 again, 7
             BAD,  # 7
             SKIP,  # 13
             SessionCommand(Do.BAD, point="13"),  # refused: it is not recorded
@@ -91,7 +92,7 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
             GO,  # 13
             GO,  # nothing is left
         ]
-    )  # fmt: skip
+    )
     assert session.marks == {
         ("normal", "1"): Mark.DONE,
         ("normal", "7"): Mark.BAD,
@@ -105,9 +106,7 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [REDO, BAD])
-def test_a_record_that_is_withdrawn_is_no_longer_believed(
-    tmp_path: Path, monkeypatch, command: SessionCommand
-) -> None:
+def test_a_record_that_is_withdrawn_is_no_longer_believed(tmp_path: Path, monkeypatch, command: SessionCommand) -> None:
     forgotten: list = []
     monkeypatch.setattr(ResidualWatch, "forget", lambda watch, key: forgotten.append(key))
     session = bench(tmp_path)
@@ -118,9 +117,7 @@ def test_a_record_that_is_withdrawn_is_no_longer_believed(
 def test_a_redo_after_everything_is_done_opens_the_session_again(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",))
     session.run([GO, GO, REDO, GO, GO])
-    session.run(
-        [SessionCommand(Do.REDO, point="1")]
-    )  # resumed: the setup is that in which the board stood last
+    session.run([SessionCommand(Do.REDO, point="1")])  # resumed: the setup is that in which the board stood last
     assert session.marks == {("normal", "1"): Mark.LEFT}
     session.run([GO] * 3)
     assert session.arm.log.count("done") == 4
@@ -178,32 +175,18 @@ def test_two_approaches_come_from_sides_that_turn_most_joints_oppositely(tmp_pat
     counts = []
     for name in ("1", "5", "13", "29"):
         place = np.array(cavities(TABLE)[name])
-        starts = [
-            tip
-            for tip in above
-            if abs(tip[2] - place[2] - 0.06) < 1e-6 and np.linalg.norm(tip - place) < 0.12
-        ]
+        starts = [tip for tip in above if abs(tip[2] - place[2] - 0.06) < 1e-6 and np.linalg.norm(tip - place) < 0.12]
         at = GEOMETRY.nearest(tuple(place), (0.0, -1.0, 0.0))
         turns = {tuple(np.sign(np.subtract(at, GEOMETRY.nearest(tuple(tip), at)))) for tip in starts}
-        counts.append(
-            max(
-                sum(a * b < 0 for a, b in zip(first, second, strict=True))
-                for first in turns
-                for second in turns
-            )
-        )
+        counts.append(max(sum(a * b < 0 for a, b in zip(first, second, strict=True)) for first in turns for second in turns))
     assert min(counts) >= 2
     points, _ = read_points(tmp_path / "s" / "points.csv", 3)
-    assert (
-        sorted(zip(points.repeat, points.extra["approach"], strict=True)) == [(1, "1")] * 4 + [(2, "2")] * 4
-    )
+    assert sorted(zip(points.repeat, points.extra["approach"], strict=True)) == [(1, "1")] * 4 + [(2, "2")] * 4
 
 
 def test_free_poses_are_gone_to_and_seen(tmp_path: Path) -> None:
     poses = {"f1": (0.1, -0.5, 0.4), "f2": (0.3, -0.6, 0.2)}
-    session = bench(
-        tmp_path, targets=(*board_targets(["normal"], ["1"]), *free_targets(poses)), has_camera=True
-    )
+    session = bench(tmp_path, targets=(*board_targets(["normal"], ["1"]), *free_targets(poses)), has_camera=True)
     session.run([GO] * 9)
     points, _ = read_points(tmp_path / "s" / "points.csv", 3)
     assert points.setup == ("normal", "free", "free")
@@ -240,9 +223,7 @@ def test_a_board_that_is_measured_is_placed_by_spread_cavities_and_then_visited(
     pose = read_boards(tmp_path / "s" / "boards.json")["normal"]
     np.testing.assert_allclose(pose.origin_m, np.add(TABLE.origin_m, (0.03, -0.02, 0.01)), atol=1e-6)
     session.run([GO] * 4)  # resumed: it is placed already
-    assert [entry for entry in session.arm.log if entry.startswith("take")] == [
-        f"take normal {name}" for name in guided
-    ]
+    assert [entry for entry in session.arm.log if entry.startswith("take")] == [f"take normal {name}" for name in guided]
 
 
 def test_an_exception_in_the_middle_lets_go_and_holds(tmp_path: Path) -> None:

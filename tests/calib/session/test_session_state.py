@@ -41,9 +41,7 @@ def in_state(mark: Mark) -> SessionState:
 
 
 @pytest.mark.parametrize(("mark", "event"), [*itertools.product(Mark, TargetEvent)])
-def test_every_event_in_every_state_does_what_the_table_says_or_is_refused(
-    mark: Mark, event: TargetEvent
-) -> None:
+def test_every_event_in_every_state_does_what_the_table_says_or_is_refused(mark: Mark, event: TargetEvent) -> None:
     state = in_state(mark)
     if (mark, event) in AFTER:
         assert state.after(event, KEYS[0]).marks[KEYS[0]] is AFTER[mark, event]
@@ -84,8 +82,15 @@ def test_a_point_is_named_with_all_its_repeats_or_one() -> None:
 def test_rounds_go_over_all_points_and_approaches_alternate() -> None:
     targets = board_targets(["normal"], ["1", "2"], repeats=2, approaches=2)
     assert [(t.point, t.repeat, t.approach) for t in targets] == [
-        ("1", 1, 1), ("2", 1, 1), ("1", 2, 2), ("2", 2, 2), ("1", 3, 1), ("2", 3, 1), ("1", 4, 2), ("2", 4, 2),
-    ]  # fmt: skip
+        ("1", 1, 1),
+        ("2", 1, 1),
+        ("1", 2, 2),
+        ("2", 2, 2),
+        ("1", 3, 1),
+        ("2", 3, 1),
+        ("1", 4, 2),
+        ("2", 4, 2),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -111,9 +116,7 @@ def test_a_plan_written_comes_back() -> None:
     assert from_json(to_json(plan, "2026-11-21"), Path("session.json")) == (plan, "2026-11-21")
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{}", "[]", '{"format": "session/2"}', '{"format": "session/1", "board": 3}']
-)
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"format": "session/2"}', '{"format": "session/1", "board": 3}'])
 def test_a_session_json_that_is_none_is_one_error_with_the_file(text: str) -> None:
     with pytest.raises(SessionError, match=r"^session\.json"):
         from_json(text, Path("session.json"))
@@ -122,10 +125,7 @@ def test_a_session_json_that_is_none_is_one_error_with_the_file(text: str) -> No
 def test_the_fingerprint_sees_what_the_arm_is_and_not_where_it_is_plugged_in(tmp_path: Path) -> None:
     (board,) = RIGHT.encoder_boards
     elsewhere = replace(
-        RIGHT,
-        encoder_boards=(replace(board, port="COM3"),),
-        can=None,
-        camera=replace(RIGHT.camera or Camera(), udp_port=5),
+        RIGHT, encoder_boards=(replace(board, port="COM3"),), can=None, camera=replace(RIGHT.camera or Camera(), udp_port=5)
     )
     assert fingerprint(elsewhere) == fingerprint(RIGHT)
     save_arm(RIGHT, tmp_path / "copy.toml")
@@ -166,9 +166,7 @@ def test_a_redone_point_is_once_in_points_csv_and_every_take_of_it_is_kept(tmp_p
     points, warnings = read_points(tmp_path / "points.csv", 2)
     assert warnings == ()
     assert (points.point, points.extra["take"]) == (("1",), ("3",))
-    withdrawn = [
-        json.loads(line).get("record") for line in (tmp_path / "journal.jsonl").read_text().splitlines()
-    ]
+    withdrawn = [json.loads(line).get("record") for line in (tmp_path / "journal.jsonl").read_text().splitlines()]
     assert [line.split(",")[5] for line in withdrawn if line] == ["0.100000000", "0.200000000"]
 
 
@@ -187,10 +185,7 @@ def test_another_arm_or_plan_is_refused_with_what_differs(tmp_path: Path) -> Non
 
 
 def test_two_sessions_cannot_share_a_folder(tmp_path: Path) -> None:
-    with (
-        SessionFolder(tmp_path, PLAN),
-        pytest.raises(SessionError, match="another program is recording into it"),
-    ):
+    with SessionFolder(tmp_path, PLAN), pytest.raises(SessionError, match="another program is recording into it"):
         SessionFolder(tmp_path, PLAN)
     with SessionFolder(tmp_path):
         pass
@@ -242,9 +237,7 @@ def test_what_is_acknowledged_was_forced_to_the_disk(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize("room", [0, 1, 40, 90, 160, 400])
-def test_a_disk_that_fills_anywhere_loses_no_acknowledged_record_and_the_session_opens_again(
-    tmp_path: Path, room: int
-) -> None:
+def test_a_disk_that_fills_anywhere_loses_no_acknowledged_record_and_the_session_opens_again(tmp_path: Path, room: int) -> None:
     """The kernel's own short writes: what is refused is in no file, what was accepted in exactly one place."""
     accepted: set[tuple[str, str, int]] = set()
     with SessionFolder(tmp_path, PLAN) as folder:
@@ -268,9 +261,7 @@ def test_a_disk_that_fills_anywhere_loses_no_acknowledged_record_and_the_session
         assert again.warnings == ()
 
 
-def test_a_line_that_could_not_be_taken_back_is_not_appended_to(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_that_could_not_be_taken_back_is_not_appended_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk took half of a record, and not its removal either: the next record would have become part of it."""
     with SessionFolder(tmp_path, PLAN) as folder:
         folder.record(record(KEYS[0]))
@@ -286,9 +277,7 @@ def test_a_line_that_could_not_be_taken_back_is_not_appended_to(
         again.record(record(KEYS[1]))
 
 
-def test_a_kill_before_any_line_of_the_writing_code_loses_nothing_that_was_acknowledged(
-    tmp_path: Path,
-) -> None:
+def test_a_kill_before_any_line_of_the_writing_code_loses_nothing_that_was_acknowledged(tmp_path: Path) -> None:
     """Real processes and SIGKILL, one before every 11th line that what writes runs: each is resumed, nothing is missing."""
     killer = Path(__file__).parent / "session_killer.py"
     ended = subprocess.run(

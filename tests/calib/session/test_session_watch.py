@@ -25,9 +25,7 @@ def judged(seed: int, is_unknown: bool, play_rad: float = 0.0):
     watch, good, beside = ResidualWatch(RIGHT), [], []
     for k in range(0, 66, 2):
         place = BOARD[k % 33] + rng.normal(0.0, 1e-4, 3) if is_unknown else tips[k]
-        here, there = (
-            TipObservation(names[k], tuple(q_rad[k]), tuple(p), is_unknown) for p in (place, place + BESIDE)
-        )
+        here, there = (TipObservation(names[k], tuple(q_rad[k]), tuple(p), is_unknown) for p in (place, place + BESIDE))
         good.append(watch.judge(here).off_sd)
         beside.append(watch.judge(there).is_suspect)
         watch.add(k, here)

@@ -60,9 +60,7 @@ def test_where_the_straight_way_is_blocked_another_one_is_found_and_is_clear() -
         stops = ways.stops(start, end, RAISED)
         assert len(stops) > 1
         assert stops[-1] == end
-        assert (
-            lowest_over_board_m([start, *stops], RAISED) > 0.8 * MARGIN_m
-        )  # looked at in finer steps than planned
+        assert lowest_over_board_m([start, *stops], RAISED) > 0.8 * MARGIN_m  # looked at in finer steps than planned
 
 
 def test_where_no_way_is_clear_it_is_said() -> None:

@@ -11,19 +11,7 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibrationError
-from calib.studies import (
-    ChunkStore,
-    Executor,
-    InProcess,
-    ProcessPool,
-    Results,
-    S,
-    T,
-    Work,
-    as_they_come,
-    executor,
-    run_study,
-)
+from calib.studies import ChunkStore, Executor, InProcess, ProcessPool, Results, S, T, Work, as_they_come, executor, run_study
 from calib.validation.statistics import proportion, quantile
 from tests.calib.studies.tasks import dies, drawn
 
@@ -52,9 +40,7 @@ def dask_cluster() -> Iterator[str]:
     dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
     with (
         dask.config.set(FRUGAL),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
     ):
         yield cluster.scheduler_address
 

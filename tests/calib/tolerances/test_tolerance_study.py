@@ -54,10 +54,7 @@ def poses_of(design: StudyDesign) -> tuple[MadeArms, MadePoses]:
 
 
 def test_tips_of_made_arms_are_those_of_an_independent_chain() -> None:
-    text = (
-        GEOMETRY
-        + "[joint.2]\nencoder_scale = { sd = 1e-3 }\nencoder_eccentricity_rad = { from = 1e-3, to = 2e-3 }"
-    )
+    text = GEOMETRY + "[joint.2]\nencoder_scale = { sd = 1e-3 }\nencoder_eccentricity_rad = { from = 1e-3, to = 2e-3 }"
     design = design_of(ARM, tolerances(text), 5)
     made, poses = poses_of(design)
     z = made.drawn(np.random.default_rng(1), 5)
@@ -93,11 +90,7 @@ def test_many_arms_are_calibrated_as_calibrate_does_it_with_one() -> None:
     for k in range(2):
         names = ["free"] * len(design.calibration)
         points = make_points(
-            names,
-            [f"p{i}" for i in range(len(names))],
-            [1] * len(names),
-            design.calibration.q_rad,
-            seen[:, k].T,
+            names, [f"p{i}" for i in range(len(names))], [1] * len(names), design.calibration.q_rad, seen[:, k].T
         )
         arm = calibrate(ARM, points, CalibrationPlan(starts_count=1)).arm
         real = rms_m(true[:, k].T - REFERENCE.tips(arm.dh, design.map.q_rad))
@@ -147,9 +140,7 @@ def test_what_the_file_corrects_already_costs_nothing_as_built() -> None:
     effect = Effect("joint_compliance", 2, {"stiffness_Nm_rad": 4000.0})
     known = dataclasses.replace(ARM, effects=(effect,))
     text = "[joint.2]\nstiffness_Nm_rad = { from = 4000, to = 4000 }"
-    of_both = [
-        np.concatenate([design_errors(arm, text)["mean_square_m2"][0]]).mean() ** 0.5 for arm in (ARM, known)
-    ]
+    of_both = [np.concatenate([design_errors(arm, text)["mean_square_m2"][0]]).mean() ** 0.5 for arm in (ARM, known)]
     assert of_both[0] > 3e-4
     assert of_both[1] < 1e-4
 
@@ -189,7 +180,5 @@ def test_tolerances_in_a_wrong_unit_are_refused_and_the_part_is_named() -> None:
         (GEOMETRY + "[link.2]\nL_m = { within = 0.3 }", "link 2: L"),  # millimetres
         ("[joint.2]\nstiffness_Nm_rad = { from = 1.0, to = 2.0 }", "joint 2: stiffness"),
     ):
-        with pytest.raises(
-            TolerancesFileError, match=f"t.toml: such arms miss by .* mostly by {part}; expected"
-        ):
+        with pytest.raises(TolerancesFileError, match=f"t.toml: such arms miss by .* mostly by {part}; expected"):
             require_near(design_of(ARM, tolerances(text), 20), "t.toml")

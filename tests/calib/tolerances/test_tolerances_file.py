@@ -31,9 +31,7 @@ def test_the_supplied_example_is_for_the_supplied_arm() -> None:
         (Spread(within=0.0, mean=0.3), 0.3, 0.0, 0.3, 0.3),
     ],
 )
-def test_distributions_are_as_they_are_written(
-    spread: Spread, mean: float, sd: float, least: float, most: float
-) -> None:
+def test_distributions_are_as_they_are_written(spread: Spread, mean: float, sd: float, least: float, most: float) -> None:
     drawn = spread.draw(np.random.default_rng(1), 20_000)
     assert drawn.mean() == pytest.approx(mean, abs=0.03)
     assert drawn.std() == pytest.approx(sd, rel=0.02)
@@ -57,10 +55,7 @@ def test_distributions_are_as_they_are_written(
         ("[link.2]\nd_m = { }", "[link.2.d_m] expected one of"),
         ("[link.2]\nd_m = { from = 1e-4 }", "both and without mean"),
         ("[link.2]\nd_m = { from = 2e-4, to = 1e-4 }", "expected from <= to, got 0.0002 and 0.0001"),
-        (
-            "[every_joint]\nbacklash_rad = { within = 1e-3 }",
-            "[joint.1] backlash_rad: it reaches down to -0.001",
-        ),
+        ("[every_joint]\nbacklash_rad = { within = 1e-3 }", "[joint.1] backlash_rad: it reaches down to -0.001"),
         ("[joint.2]\nstiffness_Nm_rad = { sd = 100, mean = 4000 }", "a normal distribution has no end"),
         ("[joint.2]\nstiffness_Nm_rad = { from = 0, to = 4000 }", "expected values above 0"),
         ("[link.2]\nEI_Nm2 = { within = 10, mean = 10 }", "[link.2] EI_Nm2: it reaches down to 0"),

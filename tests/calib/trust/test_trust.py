@@ -16,16 +16,7 @@ from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
 from calib.trust.discrepancy import SHARES, Conditions, Discrepancy, Gears, even_odds
-from calib.trust.prediction import (
-    SIZE_SPREAD,
-    SIZES,
-    SizeEvidence,
-    TipError,
-    linearised,
-    planned,
-    posterior_of,
-    reliability_of,
-)
+from calib.trust.prediction import SIZE_SPREAD, SIZES, SizeEvidence, TipError, linearised, planned, posterior_of, reliability_of
 from calib.trust.report import pose_figures
 from calib.trust.trust import ELLIPSOID_95, MapRequest, Trust, trust_in, within_95_m
 from control.dynamics.static_pose import RestingPose
@@ -79,9 +70,7 @@ def test_true_errors_of_poses_that_were_not_recorded_lie_inside(hidden: tuple[Hi
     true_m = norms(made.true_m - error.tip_m)
     assert inside(error, made.true_m) >= 0.9
     left_m = norms(made.true_m - error.tip_m - error.expected_m)
-    assert np.median(left_m) < 0.2 * np.median(
-        true_m
-    )  # the nominal file is centimetres off, and this is known
+    assert np.median(left_m) < 0.2 * np.median(true_m)  # the nominal file is centimetres off, and this is known
     if trust.coverage is not None:
         assert 0.85 <= trust.coverage.share <= 1.0
 
@@ -115,9 +104,7 @@ def test_poses_with_visible_play_tell_their_flank_and_the_share_of_friction_on_t
     assert np.allclose(known.expected()[clear], flank[clear], atol=0.05)
     unseen = gears.weighed(left, 0.0 * move, gears.expected(), 2e-4)
     assert unseen[0] == pytest.approx(gears.odds)
-    assert unseen[1] == pytest.approx(
-        gears.expected(), abs=2.5e-3
-    )  # no single pose decides more than MISTAKE
+    assert unseen[1] == pytest.approx(gears.expected(), abs=2.5e-3)  # no single pose decides more than MISTAKE
 
 
 def test_a_map_without_points_far_from_the_table_says_so() -> None:
@@ -134,9 +121,7 @@ def test_the_slope_of_the_evidence_is_its_slope() -> None:
     points = recorded().points
     problem = problem_of(ARM, points, Choice())
     at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
-    evidence = SizeEvidence(
-        *linearised(problem, at, Discrepancy(ARM), np.zeros(16)), np.full(16, 0.3), Discrepancy(ARM)
-    )
+    evidence = SizeEvidence(*linearised(problem, at, Discrepancy(ARM), np.zeros(16)), np.full(16, 0.3), Discrepancy(ARM))
     logs = np.log(np.array([2e-4, *(0.7 * one.usual for one in Discrepancy(ARM).sources)]))
     value, slope = evidence.minus_log(logs)
     for k in range(len(logs)):
@@ -154,9 +139,7 @@ def test_known_without_the_base_moves_nothing_as_a_whole() -> None:
     assert "base" in choice.freed
     assert not trust.predictor.is_tied
     columns = trust.predictor.columns(Conditions.of(trust.q_rad))
-    moved = columns @ np.linalg.cholesky(
-        trust.posterior.covariance + 1e-18 * np.eye(len(trust.posterior.mean))
-    )
+    moved = columns @ np.linalg.cholesky(trust.posterior.covariance + 1e-18 * np.eye(len(trust.posterior.mean)))
     shift_m = np.sqrt(np.mean(moved, axis=0) ** 2).sum()
     assert shift_m < 0.2 * np.sqrt(np.mean(np.sum(moved**2, axis=(1, 2))))
 
@@ -259,11 +242,7 @@ def test_a_hidden_play_is_what_its_cause_moves_the_tip_by_and_every_source_is_li
     lever_m = norms(tips_m[1] - tips_m[0]) / 1e-4
     expected_m = 0.5 * PLAY.value * np.sqrt(np.mean(lever_m**2))
     assert listed["joint 3: direction"].expected_m == pytest.approx(expected_m, rel=0.15)
-    others = [
-        one.expected_m
-        for name, one in listed.items()
-        if name.startswith("joint") and name != "joint 3: direction"
-    ]
+    others = [one.expected_m for name, one in listed.items() if name.startswith("joint") and name != "joint 3: direction"]
     assert max(others) < 0.1 * expected_m
 
 
@@ -292,9 +271,7 @@ def test_averaging_over_sizes_makes_no_direction_more_certain() -> None:
     points = recorded(PLAY).points
     problem, discrepancy = problem_of(ARM, points, Choice()), Discrepancy(ARM)
     at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
-    evidence = SizeEvidence(
-        *linearised(problem, at, discrepancy, np.zeros(16)), np.full(16, 0.3), discrepancy
-    )
+    evidence = SizeEvidence(*linearised(problem, at, discrepancy, np.zeros(16)), np.full(16, 0.3), discrepancy)
     single = evidence.posterior(np.log(np.array([2e-4, *(one.usual for one in discrepancy.sources)])))
     more = evidence.over_sizes(single).covariance - single.covariance
     assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()

@@ -131,11 +131,7 @@ def test_a_flexure_that_the_arms_file_has_bends_what_is_left_out_too() -> None:
 
 
 @pytest.mark.parametrize(
-    "folds",
-    [
-        pytest.param(slice(0, None, 3), id="third"),
-        pytest.param(slice(None), id="all", marks=pytest.mark.nightly),
-    ],
+    "folds", [pytest.param(slice(0, None, 3), id="third"), pytest.param(slice(None), id="all", marks=pytest.mark.nightly)]
 )
 def test_what_calibrate_holds_out_is_predicted_by_the_same_fit_as_its_result(folds: slice) -> None:
     """Loads of the arm as it was drawn are others than those of the arm as it is: links are 20 mm longer."""
@@ -150,9 +146,7 @@ def test_what_calibrate_holds_out_is_predicted_by_the_same_fit_as_its_result(fol
     bare = make_points(["free"] * 40, names, [1] * 40, q, np.zeros((40, 3)))
     tips = predicted_tips(true, bare) + rng.normal(0.0, NOISE_m, (40, 3))
     points = with_rows(bare, tip_m=tips)
-    plan = CalibrationPlan(
-        Choice(effects=("joint_compliance:2",), bounds=Bounds(length_m=0.03)), LSQ, None, 2
-    )
+    plan = CalibrationPlan(Choice(effects=("joint_compliance:2",), bounds=Bounds(length_m=0.03)), LSQ, None, 2)
     held = calibrate(arm, points, plan).held
     assert held is not None
     for fold in held.folds[folds]:
@@ -208,6 +202,4 @@ def test_a_play_that_no_part_can_have_is_none_for_the_geometry_too() -> None:
     assert not made.arm.effects
     assert any("backlash of joint 2: its estimate is below zero" in said for said in made.warnings)
     assert made.held is not None
-    assert made.held.after_m == pytest.approx(
-        calibrate(arm, points, dataclasses.replace(plan, choice=Choice())).held.after_m
-    )
+    assert made.held.after_m == pytest.approx(calibrate(arm, points, dataclasses.replace(plan, choice=Choice())).held.after_m)

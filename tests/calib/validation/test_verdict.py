@@ -143,9 +143,7 @@ def test_approaches_from_two_sides_are_no_repeats() -> None:
     exact = board_points(rng, true_dh(rng), noise_m=0.0)
     sides = np.repeat([[1, 1, 1], [-1, -1, -1], [1, 1, 1]], 10, axis=0).astype(float)
     points = repeated(exact, sides, 0.005)  # play shows as another angle in the same cavity
-    floor = noise_floor(
-        dataclasses.replace(RIGHT, camera=None), points, problem_of(RIGHT, points), np.zeros(16)
-    )
+    floor = noise_floor(dataclasses.replace(RIGHT, camera=None), points, problem_of(RIGHT, points), np.zeros(16))
     assert floor.axis_m == pytest.approx(NOISE_m, rel=0.4)
 
 

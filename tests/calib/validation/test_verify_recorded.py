@@ -146,10 +146,7 @@ def test_copies_count_once_and_identical_errors_have_no_interval() -> None:
     assert "copies" in found.cautions[0]
     same = difference(np.full(12, 0.004), np.full(12, 0.001))
     assert np.isnan(same.half_width_m)
-    assert (
-        same.in_words()
-        == "no significant difference: +3.000 mm at all 12 points alike, which tells no interval"
-    )
+    assert same.in_words() == "no significant difference: +3.000 mm at all 12 points alike, which tells no interval"
     flat = np.tile([0.003, 0.0, 0.0], (12, 1))
     said = comparison_text(compare(["a"] * 12, [str(k) for k in range(12)], flat, flat, flat))
     assert "unknown" in said

@@ -35,7 +35,7 @@ def verification(before_mm: dict[str, float], after_mm: dict[str, float], **chan
     tips = np.tile([0.5, 0.0, 0.05], (len(setups), 1))
     made = Verification(
         RIGHT, RIGHT, compare(setups, names, tips, before, after), (), ("looked",), (), True, Provenance((), "2026-01-01", "v")
-    )  # fmt: skip
+    )
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
@@ -58,9 +58,7 @@ def test_worse_by_more_than_chance_is_worse_and_by_chance_is_not() -> None:
 
 def test_verify_json_holds_points_figures_and_verdict(tmp_path: Path) -> None:
     track = Track("circle", np.arange(50.0), np.linspace(0, 1, 150).reshape(50, 3), np.zeros((50, 3)))
-    made = verification(
-        {"normal": 20.0}, {"normal": 1.0}, paths=(TrackPair("circle", "roll", track, track),), warnings=("mind",)
-    )  # fmt: skip
+    made = verification({"normal": 20.0}, {"normal": 1.0}, paths=(TrackPair("circle", "roll", track, track),), warnings=("mind",))
     write_verification_json(tmp_path / "new" / "verify.json", made)
     content = json.loads((tmp_path / "new" / "verify.json").read_text("utf-8"))
     assert content["format"] == "verify/1"
@@ -82,9 +80,16 @@ def test_the_report_shows_the_papers_tables_and_figures(tmp_path: Path) -> None:
     write_verification_report(tmp_path / "report.html", replace(made, calibrated=moved))
     page = (tmp_path / "report.html").read_text("utf-8")
     for said in (
-        "Error before and after", "Ideal and actual trajectories", "DH parameters before and after", "circle, board roll",
-        "xy plane", "xz plane", "yz plane", "0.000, 0.000, 1.000 mm calibrated", "The calibrated arm is better by",
-    ):  # fmt: skip
+        "Error before and after",
+        "Ideal and actual trajectories",
+        "DH parameters before and after",
+        "circle, board roll",
+        "xy plane",
+        "xz plane",
+        "yz plane",
+        "0.000, 0.000, 1.000 mm calibrated",
+        "The calibrated arm is better by",
+    ):
         assert said in page
 
 
@@ -98,9 +103,7 @@ def calibrated(tmp_path: Path) -> Arm:
     """An arm beside the points that it was calibrated with."""
     write_points(tmp_path / "points.csv", used_points(np.linspace(-0.5, 0.5, 12).reshape(4, 3)))
     digest = hashlib.sha256((tmp_path / "points.csv").read_bytes()).hexdigest()
-    arm = replace(
-        RIGHT, calibration=Calibration("right.toml", {"points.csv": digest}, "2026-01-01", "E2", "v")
-    )
+    arm = replace(RIGHT, calibration=Calibration("right.toml", {"points.csv": digest}, "2026-01-01", "E2", "v"))
     save_arm(arm, tmp_path / "arm.toml")
     return load_arm(tmp_path / "arm.toml")
 
@@ -115,9 +118,7 @@ def test_the_file_that_the_arm_was_calibrated_with_is_recognised_by_its_hash(cal
 
 def test_a_used_pose_is_recognised_in_another_file(calibrated: Arm) -> None:
     used = np.linspace(-0.5, 0.5, 12).reshape(4, 3)
-    poses = np.vstack(
-        (used[1] + 0.9 * SAME_POSE_rad, used[2] + 1.1 * SAME_POSE_rad, used[3] + [0.0, 0.1, 0.0])
-    )
+    poses = np.vstack((used[1] + 0.9 * SAME_POSE_rad, used[2] + 1.1 * SAME_POSE_rad, used[3] + [0.0, 0.1, 0.0]))
     found = already_used(calibrated, poses, "0" * 64)
     assert found.count == 1
     assert "1 of 3 poses" in found.warnings[0]

@@ -36,13 +36,9 @@ def corners_of(target: PrintedTarget) -> np.ndarray:
 
 def drawn_pose(rng: np.random.Generator, tilt: float = 0.6, near: float = 0.3, far: float = 0.55) -> Pose:
     """A pose before the camera, tilted up to `tilt` about each axis of the picture."""
-    turn = Rotation.from_rotvec([*rng.uniform(-tilt, tilt, 2), 0.0]) * Rotation.from_rotvec(
-        [0, 0, rng.uniform(-1, 1)]
-    )
+    turn = Rotation.from_rotvec([*rng.uniform(-tilt, tilt, 2), 0.0]) * Rotation.from_rotvec([0, 0, rng.uniform(-1, 1)])
     away = rng.uniform(near, far)
-    return Pose(
-        turn.as_matrix(), np.array([away * rng.uniform(-0.3, 0.3), away * rng.uniform(-0.2, 0.2), away])
-    )
+    return Pose(turn.as_matrix(), np.array([away * rng.uniform(-0.3, 0.3), away * rng.uniform(-0.2, 0.2), away]))
 
 
 def sighting(
@@ -63,22 +59,14 @@ def sighting(
 
 
 def sightings(
-    target: PrintedTarget,
-    poses: list[Pose],
-    rng: np.random.Generator,
-    stand: Pose = HERE,
-    lens: Lens | None = None,
+    target: PrintedTarget, poses: list[Pose], rng: np.random.Generator, stand: Pose = HERE, lens: Lens | None = None
 ) -> Sightings:
     """One picture a pose, called p00, p01, ..."""
     seen = [sighting(f"p{k:02d}", target, pose, rng, stand, lens=lens) for k, pose in enumerate(poses)]
     return Sightings(WEBCAM.width_px, WEBCAM.height_px, tuple(seen), ())
 
 
-def picture(
-    target: Charuco | Tags, pose: Pose, rng: np.random.Generator, webcam: Webcam = WEBCAM
-) -> np.ndarray:
+def picture(target: Charuco | Tags, pose: Pose, rng: np.random.Generator, webcam: Webcam = WEBCAM) -> np.ndarray:
     """A rendered picture of a print."""
     grey = target.drawn(DOTS_A_METRE, MARGIN_m)
-    return webcam.picture(
-        [PrintedSheet(grey, grey.shape[1] / DOTS_A_METRE, pose.rotation, pose.position_m)], rng
-    )
+    return webcam.picture([PrintedSheet(grey, grey.shape[1] / DOTS_A_METRE, pose.rotation, pose.position_m)], rng)

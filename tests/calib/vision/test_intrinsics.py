@@ -75,9 +75,7 @@ def test_advice_names_what_is_missing() -> None:
     assert "take some much nearer" in said(fitted(7, count=10, near=0.4, far=0.42))
     rng = np.random.default_rng(8)
     middle = [
-        dataclasses.replace(
-            drawn_pose(rng, near=0.6, far=0.9), position_m=np.array([0, 0, rng.uniform(0.6, 0.9)])
-        )
+        dataclasses.replace(drawn_pose(rng, near=0.6, far=0.9), position_m=np.array([0, 0, rng.uniform(0.6, 0.9)]))
         for _ in range(16)
     ]
     corner = said(fit_lens(BOARD, sightings(BOARD, middle, rng)))
@@ -116,10 +114,7 @@ def test_a_camera_file_survives_and_a_damaged_one_is_refused(tmp_path: Path) -> 
     for wrong, says in (
         (good.replace('"camera/1"', '"camera/2"'), 'format: expected "camera/1"'),
         (good.replace('"fx":', '"focal":'), "lens.fx: expected a number, got None"),
-        (
-            good.replace('"width_px": 640', '"width_px": 0'),
-            "width_px: expected a number from 1 to 100000, got 0",
-        ),
+        (good.replace('"width_px": 640', '"width_px": 0'), "width_px: expected a number from 1 to 100000, got 0"),
         ("{", "not JSON"),
     ):
         file.write_text(wrong)

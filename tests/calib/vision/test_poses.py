@@ -24,9 +24,7 @@ def error_of(one: MeasuredPose, true: Pose) -> np.ndarray:
     return np.array([*(one.pose.position_m - true.position_m), *turn])
 
 
-def seen_by(
-    target: PrintedTarget, seed: int, cameras: int, count: int = 14
-) -> tuple[list[CameraPictures], list[Pose]]:
+def seen_by(target: PrintedTarget, seed: int, cameras: int, count: int = 14) -> tuple[list[CameraPictures], list[Pose]]:
     """Cameras whose pictures all show the whole target, and the true poses."""
     rng, poses = np.random.default_rng(seed), []
     while len(poses) < count:
@@ -71,10 +69,7 @@ def test_two_cameras_know_where_they_stand_and_see_better_than_one() -> None:
     stand = found.stands["second"]
     off = np.array([*(stand.pose.position_m - STAND.position_m), 0, 0, 0])
     assert np.abs(off[:3]).max() < 5.0 * np.sqrt(np.diag(stand.covariance)[:3]).max()
-    worst = [
-        max(np.linalg.eigvalsh(one.covariance[:3, :3])[-1] for one in some.measured)
-        for some in (found, alone)
-    ]
+    worst = [max(np.linalg.eigvalsh(one.covariance[:3, :3])[-1] for one in some.measured) for some in (found, alone)]
     assert worst[0] < 0.3 * worst[1]  # two lines of sight have no direction in common
     assert len(found.measured) == len(poses)
 
@@ -129,9 +124,7 @@ def test_cameras_that_never_saw_the_target_together_are_refused() -> None:
     with pytest.raises(VisionError, match="both saw the target in 0 pictures of one name, 3 are needed"):
         measure_poses(BOARD, [first, second])
     small = dataclasses.replace(first.lens, width_px=1280)
-    with pytest.raises(
-        VisionError, match="was calibrated with 1280 x 480 pixels, its pictures have 640 x 480"
-    ):
+    with pytest.raises(VisionError, match="was calibrated with 1280 x 480 pixels, its pictures have 640 x 480"):
         measure_poses(BOARD, [dataclasses.replace(first, lens=small)])
 
 

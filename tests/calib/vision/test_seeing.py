@@ -46,18 +46,14 @@ def test_corners_of_rendered_pictures_are_found_to_a_fraction_of_a_pixel_without
         found = target.find(picture(target, pose, rng).astype(np.uint8))
         assert len(found) >= 0.8 * target.count
         error = found.picture_px - lens_of().project(pose.of(found.target_m))
-        keep = (
-            np.linalg.norm(error, axis=1) < 0.5
-        )  # one corner in fifty lies beside its place: the fit drops it
+        keep = np.linalg.norm(error, axis=1) < 0.5  # one corner in fifty lies beside its place: the fit drops it
         assert keep.mean() > 0.9
         outward = found.picture_px - found.picture_px.mean(axis=0)
         outward /= np.linalg.norm(outward, axis=1)[:, None]
         errors.append((error[keep], np.sum(error * outward, axis=1)[keep]))
     whole = np.concatenate([error for error, _ in errors])
     assert np.sqrt(np.mean(whole**2)) < limit_px
-    assert (
-        abs(np.mean(np.concatenate([out for _, out in errors]))) < 0.06
-    )  # a target that looks too large looks too near
+    assert abs(np.mean(np.concatenate([out for _, out in errors]))) < 0.06  # a target that looks too large looks too near
 
 
 @pytest.mark.parametrize("seed", [3, 29, 56])
@@ -101,9 +97,7 @@ def test_targets_that_cannot_be_printed_are_refused(made, says: str) -> None:  #
 
 def test_tags_of_a_body_are_read_with_their_turns(tmp_path: Path) -> None:
     file = tmp_path / "tags.csv"
-    file.write_text(
-        "tag,size_m,x_m,y_m,z_m,qw,qx,qy,qz\n3,0.04,0.1,0,0,,,,\n4,0.04,0,0,0.1,0.70710678,0,0.70710678,0\n"
-    )
+    file.write_text("tag,size_m,x_m,y_m,z_m,qw,qx,qy,qz\n3,0.04,0.1,0,0,,,,\n4,0.04,0,0,0.1,0.70710678,0,0.70710678,0\n")
     tags = read_tags(file)
     assert tags.corners_m[3][0] == pytest.approx([0.08, -0.02, 0.0])
     assert tags.corners_m[4][0] == pytest.approx([0.0, -0.02, 0.12])
@@ -129,12 +123,9 @@ def test_unusable_pictures_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("printed", "option"),
-    [(dataclasses.replace(LEGACY, is_legacy=True), "with --legacy"), (SIDEWAYS, "with --board 6x8")],
+    ("printed", "option"), [(dataclasses.replace(LEGACY, is_legacy=True), "with --legacy"), (SIDEWAYS, "with --board 6x8")]
 )
-def test_pictures_that_only_another_option_makes_readable_name_it(
-    tmp_path: Path, printed: Charuco, option: str
-) -> None:
+def test_pictures_that_only_another_option_makes_readable_name_it(tmp_path: Path, printed: Charuco, option: str) -> None:
     rng, files = np.random.default_rng(4), []
     for k in range(2):
         file = tmp_path / f"{k}.png"

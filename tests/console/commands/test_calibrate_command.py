@@ -55,9 +55,7 @@ def calibrate(points: Path, out: Path, *more: str) -> int:
     return main(["calibrate", "--points", str(points), "--out", str(out), *more])
 
 
-def test_points_become_a_calibrated_arm_a_judgement_and_files_for_other_tools(
-    points, tmp_path, capsys
-) -> None:
+def test_points_become_a_calibrated_arm_a_judgement_and_files_for_other_tools(points, tmp_path, capsys) -> None:
     assert calibrate(points, tmp_path / "out", "--export", "urdf,mjcf,json") == 0
     said = capsys.readouterr().out
     assert said.startswith("The result is good")
@@ -126,9 +124,7 @@ def test_fixed_and_freed_parameters_and_bounds_are_what_was_asked_for(points, tm
 
 
 def test_a_base_that_was_fixed_stays_so_for_whoever_reads_the_file(points, tmp_path) -> None:
-    save_arm(
-        replace(load_arm("right"), table=None), tmp_path / "bare.toml"
-    )  # nothing says where tips are measured
+    save_arm(replace(load_arm("right"), table=None), tmp_path / "bare.toml")  # nothing says where tips are measured
     more = ["--arm", str(tmp_path / "bare.toml"), "--starts", "1"]
     for out, fix in (("placed", []), ("fixed", ["--fix", "base"])):
         assert calibrate(points, tmp_path / out, *more, *fix) == 0
@@ -168,9 +164,7 @@ def test_spoiled_points_are_recognised_and_nothing_is_written(name, tmp_path, ca
     spoil, says = SPOILED[name]
     q, tips, setups, names = session()
     q, tips = spoil(q, tips)
-    file = written(
-        tmp_path / "points.csv", q, tips, *(list(np.resize(x[:33], len(q))) for x in (setups, names))
-    )
+    file = written(tmp_path / "points.csv", q, tips, *(list(np.resize(x[:33], len(q))) for x in (setups, names)))
     assert calibrate(file, tmp_path / "out") == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

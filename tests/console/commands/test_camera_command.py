@@ -30,9 +30,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_pictures_become_a_lens_and_points(
-    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_become_a_lens_and_points(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lens, out = tmp_path / "lens", tmp_path / "out"
     assert main(["camera", "calibrate", *OF_BOARD, "--images", str(pictures), "--out", str(lens)]) == 0
     said = capsys.readouterr().out
@@ -40,9 +38,7 @@ def test_pictures_become_a_lens_and_points(
     assert "To do: 6 pictures show the board: take at least 15." in said
     found = json.loads((lens / "camera.json").read_text())
     assert abs(found["lens"]["fx"] - 560.0) < 5.0 * found["sd"]["fx"]
-    points = make_points(
-        ["free"] * 5, [f"p{k}" for k in range(5)], [1] * 5, np.zeros((5, 3)), np.full((5, 3), np.nan)
-    )
+    points = make_points(["free"] * 5, [f"p{k}" for k in range(5)], [1] * 5, np.zeros((5, 3)), np.full((5, 3), np.nan))
     write_points(tmp_path / "angles.csv", points)
     run = ["camera", "poses", *OF_BOARD, "--camera", str(lens / "camera.json"), "--images", str(pictures)]
     assert main([*run, "--points", str(tmp_path / "angles.csv"), "--out", str(out)]) == 0
@@ -71,7 +67,7 @@ def test_a_print_has_its_true_size(tmp_path: Path, capsys: pytest.CaptureFixture
     [
         (["calibrate", "--images", "."], "expected one target: --board 5x7 --square 30mm"),
         (["calibrate", *OF_BOARD, "--tag", "3", "--images", "."], "got --board and --tag"),
-        (["calibrate", "--board", "5by7", "--images", "."], '--board: expected columns x rows of squares, such as 5x7'),
+        (["calibrate", "--board", "5by7", "--images", "."], "--board: expected columns x rows of squares, such as 5x7"),
         (["calibrate", "--board", "5x7", "--images", "."], "give the edge of a square as measured on the print"),
         (["calibrate", "--board", "5x7", "--square", "30", "--images", "."], "--square: expected a number with one of the units"),
         (["calibrate", "--tag", "3", "--size", "5cm", "--images", "."], "expected a ChArUco board"),
@@ -81,13 +77,9 @@ def test_a_print_has_its_true_size(tmp_path: Path, capsys: pytest.CaptureFixture
         (["poses", "--tag", "3", "--images", "."], "give the edge of its black square with --size"),
         (["poses", *OF_BOARD, "--camera", "/no/camera.json", "--images", "."], "cannot be read"),
     ],
-)  # fmt: skip
+)
 def test_wrong_input_is_one_line_with_the_remedy(
-    line: list[str],
-    says: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    line: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["camera", *line, "--out", str(tmp_path / "out")]) == 2

@@ -57,9 +57,7 @@ for arguments in [["--help"], *([command.name, "--help"] for command in COMMANDS
 heavy = [name for name in {HEAVY} if name in sys.modules]
 assert not heavy, heavy
 """
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120
-    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
     assert ended.returncode == 0, ended.stderr
 
 
@@ -73,9 +71,7 @@ for line in ["status", "stop", "enable", "home", "hold", "off", "pause", "resume
 heavy = [name for name in {HEAVY} if name in sys.modules and name != "msgspec"]
 assert not heavy, heavy
 """
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120
-    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
     assert ended.returncode == 0, ended.stderr
 
 
@@ -126,9 +122,7 @@ def test_a_command_does_not_wait_for_the_options_of_others() -> None:
 
 
 @pytest.mark.parametrize("word", FOR_TASKS)
-def test_a_word_for_a_task_leads_to_commands_that_there_are(
-    word: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_word_for_a_task_leads_to_commands_that_there_are(word: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert word not in {command.name for command in COMMANDS}
     assert set(FOR_TASKS[word]) <= {command.name for command in COMMANDS}
     with pytest.raises(SystemExit):
@@ -137,12 +131,9 @@ def test_a_word_for_a_task_leads_to_commands_that_there_are(
 
 
 @pytest.mark.parametrize(
-    ("word", "meant"),
-    [("recrod", "gap or session"), ("Urfd", "new or export-arm"), ("calibrat", "calibrate")],
+    ("word", "meant"), [("recrod", "gap or session"), ("Urfd", "new or export-arm"), ("calibrat", "calibrate")]
 )
-def test_a_mistyped_word_leads_where_the_right_one_does(
-    word: str, meant: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_mistyped_word_leads_where_the_right_one_does(word: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([word])
     assert f"did you mean {meant}" in capsys.readouterr().err
@@ -153,9 +144,7 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("armwright 0.")
 
 
-def test_an_option_that_a_command_does_not_have_shows_the_usage_of_that_command(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_option_that_a_command_does_not_have_shows_the_usage_of_that_command(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["jog", "--joint", "1", "--by", "0.1", "--spede", "1"])
     assert ended.value.code == 2
@@ -167,10 +156,14 @@ def test_an_option_that_a_command_does_not_have_shows_the_usage_of_that_command(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("gap", "--minutes", "nan"), ("gap", "--payload", "inf"), ("plot", "--from", "nan"),
-        ("view", "--fps", "nan"), ("serve", "--rate", "nan"), ("jog", "--by", "-inf"),
+        ("gap", "--minutes", "nan"),
+        ("gap", "--payload", "inf"),
+        ("plot", "--from", "nan"),
+        ("view", "--fps", "nan"),
+        ("serve", "--rate", "nan"),
+        ("jog", "--by", "-inf"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_number_is_refused_with_its_option(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, str, str]
 ) -> None:
@@ -213,9 +206,7 @@ def test_an_arm_that_is_not_there_is_one_message(capsys: pytest.CaptureFixture[s
     assert "nowhere.toml" in said_by(capsys, "arm", "nowhere.toml")
 
 
-def test_way_points_out_of_reach_name_the_point_and_by_how_much(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_way_points_out_of_reach_name_the_point_and_by_how_much(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "points.csv"
     file.write_text("x_m,y_m,z_m\n0.5,0.0,0.1\n1.5,0.0,0.1\n")
     error = said_by(capsys, "run", str(file), "--plan-only", "--speed", "0.1")
@@ -224,15 +215,11 @@ def test_way_points_out_of_reach_name_the_point_and_by_how_much(
     assert "out" in error
 
 
-def test_a_plan_without_a_runtime_says_from_which_pose(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_without_a_runtime_says_from_which_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "points.csv"
     file.write_text("x_m,y_m,z_m\n0.4,0.0,0.3\n0.35,0.1,0.3\n")
     assert main(["run", str(file), "--arm", "right", "--plan-only", "--speed", "0.1"]) == 0
-    assert (
-        "planned from [rest], because no runtime answers: `run` plans from where" in capsys.readouterr().out
-    )
+    assert "planned from [rest], because no runtime answers: `run` plans from where" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -261,31 +248,27 @@ def test_a_move_needs_one_target(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--rate", "5000"], "50 to 1200 Hz"), (["--can-option", "port"], "KEY=VALUE"),
-        (["--encoder", "/dev/ttyNONE9"], "/dev/ttyNONE9"), (["--can-interface", "telegraph"], "telegraph"),
+        (["--rate", "5000"], "50 to 1200 Hz"),
+        (["--can-option", "port"], "KEY=VALUE"),
+        (["--encoder", "/dev/ttyNONE9"], "/dev/ttyNONE9"),
+        (["--can-interface", "telegraph"], "telegraph"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_option_of_serve_is_one_message_and_nothing_is_recorded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
 ) -> None:
-    error = said_by(
-        capsys, "serve", "--socket", str(tmp_path / "a.sock"), "--log", str(tmp_path / "log"), *options
-    )
+    error = said_by(capsys, "serve", "--socket", str(tmp_path / "a.sock"), "--log", str(tmp_path / "log"), *options)
     assert said in error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_made_is_one_message(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_cannot_be_made_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     error = said_by(capsys, "demo", "--out", str(tmp_path / "file" / "below"))
     assert str(tmp_path / "file") in error
 
 
-def test_a_scenario_that_is_not_there_is_one_message(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scenario_that_is_not_there_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "none.toml" in said_by(capsys, "demo", "--scenario", "none.toml", "--out", str(tmp_path / "out"))
     assert list(tmp_path.iterdir()) == []
 
@@ -300,19 +283,19 @@ def test_a_scenario_that_is_not_there_is_one_message(
 )
 @pytest.mark.parametrize("command", ["serve", "check"])
 def test_a_wrong_board_is_one_message_and_nothing_moves(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-    fault: FaultTable, said: str, command: str,
-) -> None:  # fmt: skip
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    fault: FaultTable,
+    said: str,
+    command: str,
+) -> None:
     arm = with_drive(RIGHT, 2, motor_serial_number=0xD0002)
     with SteppedRig(arm, scenario(fault=(fault,))) as rig:
         save_arm(wired_to(arm, rig), tmp_path / "arm.toml")
         for module in ("console.commands.serve", "control.server.process"):
             monkeypatch.setattr(f"{module}.MonotonicClock", lambda: rig.clock)
-        options = (
-            ["--socket", str(tmp_path / "a.sock"), "--log", str(tmp_path / "log")]
-            if command == "serve"
-            else []
-        )
+        options = ["--socket", str(tmp_path / "a.sock"), "--log", str(tmp_path / "log")] if command == "serve" else []
         error = said_by(capsys, command, "--arm", str(tmp_path / "arm.toml"), *options)
         assert said in error
         assert {board.output for board in rig.robot.motor_boards} == {("voltage", 0.0)}
@@ -348,9 +331,7 @@ def test_an_arm_is_described_for_people_and_programs(capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["joints"] == load_arm("left").joint_count
 
 
-def test_arm_keys_prints_every_key_of_every_section_or_those_of_one(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_arm_keys_prints_every_key_of_every_section_or_those_of_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["arm", "--keys"]) == 0
     everything = capsys.readouterr().out
     for section in sections():
@@ -362,9 +343,7 @@ def test_arm_keys_prints_every_key_of_every_section_or_those_of_one(
         assert shown in everything
 
 
-def test_a_section_of_arm_toml_that_there_is_not_is_told_the_nearest(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_section_of_arm_toml_that_there_is_not_is_told_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["arm", "--keys", "drive.hom"]) == 2
     assert "did you mean drive.home?" in capsys.readouterr().err
 

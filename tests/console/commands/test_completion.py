@@ -37,8 +37,12 @@ def completed(bash_script: Path, folder: Path, *words: str) -> set[str]:
     assert BASH is not None
     ended = subprocess.run(
         [BASH, "--norc", "-c", ASK, "bash", str(bash_script), "armwright", *words],
-        capture_output=True, text=True, check=True, cwd=folder, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
+        timeout=120,
+    )
     assert "syntax error" not in ended.stderr
     return set(ended.stdout.split())
 

@@ -130,9 +130,7 @@ def test_a_pose_beyond_the_limits_is_marked_with_a_word(tmp_path: Path) -> None:
     save_arm(narrower, tmp_path / "narrower.toml")
     grammar = Grammar(COMMANDS, {"arm": str(tmp_path / "narrower.toml"), "socket": None})
     with holding_cell(believed=narrower) as cell:
-        said = played(
-            cell, f"mark here --places {tmp_path}/p.toml", f"teach {tmp_path}/w.csv", grammar=grammar
-        )
+        said = played(cell, f"mark here --places {tmp_path}/p.toml", f"teach {tmp_path}/w.csv", grammar=grammar)
         for outcome in said:
             assert outcome.status == 0
             assert "joint 1 is at 0.1" in outcome.transcript
@@ -162,9 +160,7 @@ def test_nothing_follows_a_motion_that_somebody_stopped() -> None:
         assert "stopped before its end" in outcomes[0].transcript
 
 
-def test_what_depends_on_the_arm_is_refused_where_the_runtime_has_another_and_the_stop_is_not(
-    tmp_path: Path,
-) -> None:
+def test_what_depends_on_the_arm_is_refused_where_the_runtime_has_another_and_the_stop_is_not(tmp_path: Path) -> None:
     file = tmp_path / "edited.toml"
     links = (RIGHT.links[0], dataclasses.replace(RIGHT.links[1], L_m=0.35), *RIGHT.links[2:])
     save_arm(dataclasses.replace(RIGHT, links=links), file)
@@ -173,9 +169,14 @@ def test_what_depends_on_the_arm_is_refused_where_the_runtime_has_another_and_th
     save_place(tmp_path / "places.toml", "here", STRETCHED)
     places = f"--places {tmp_path / 'places.toml'}"
     lines = (
-        "move --tip 0.45 0.1 0.25", "move --joints 0.3 -0.5 0.3", f"run {way}", f"go here {places}", "jog --joint 1 --by 0.01",
-        f"mark there {places}", f"teach {tmp_path / 'taught.csv'}",
-    )  # fmt: skip
+        "move --tip 0.45 0.1 0.25",
+        "move --joints 0.3 -0.5 0.3",
+        f"run {way}",
+        f"go here {places}",
+        "jog --joint 1 --by 0.01",
+        f"mark there {places}",
+        f"teach {tmp_path / 'taught.csv'}",
+    )
     grammar = Grammar(COMMANDS, {"arm": str(file), "socket": None})
     with holding_cell() as cell:
         run = cell.runtime.run_number
@@ -203,11 +204,7 @@ def test_a_jog_against_the_end_of_a_range_fails_in_words() -> None:
 def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None:
     file = tmp_path / "taught.csv"
     with holding_cell() as cell:
-        outcomes = played(
-            cell,
-            f"teach {file}",
-            f"teach {file}",
-        )
+        outcomes = played(cell, f"teach {file}", f"teach {file}")
         assert [outcome.status for outcome in outcomes] == [0, 2]  # twice the same point
         assert "has not moved" in outcomes[1].transcript
         outcomes = played(
@@ -271,9 +268,7 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
         assert "replacing another" not in outcomes[1].transcript
 
 
-def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_error_is_seen_when_it_comes_and_not_again_with_the_output(capsys: pytest.CaptureFixture[str]) -> None:
     with holding_cell() as cell:
         outcomes = played(cell, "move --joints 9 9 9")
     assert capsys.readouterr().err.count("outside of its range") == 1
@@ -292,9 +287,7 @@ def test_a_file_of_something_else_is_not_taught_into(tmp_path: Path) -> None:
 # ---- the command
 
 
-def test_check_says_what_would_be_done_and_needs_no_runtime(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_says_what_would_be_done_and_needs_no_runtime(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "lines.txt"
     file.write_text("# to the table\nenable\n\nmove --joints 0 -0.8 0\n")
     assert main(["script", str(file), "--check"]) == 0
@@ -343,8 +336,7 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
     quick.write_text(QUICK)
     out = tmp_path / "s"
     lines = [
-        f"session --mock --scenario {quick} --out {out} --setups normal,roll --points 1,9,17,25,33"
-        f" --replay {answers}",
+        f"session --mock --scenario {quick} --out {out} --setups normal,roll --points 1,9,17,25,33 --replay {answers}",
         f"calibrate --points {out / 'points.csv'} --out {tmp_path / 'c'}",
         f"arm {tmp_path / 'c' / 'arm.toml'}",
     ]
@@ -384,9 +376,20 @@ def test_rest_is_the_arms_own_pose_unless_the_file_has_another(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    "text", ["[a]\n", "[a]\nx = 1\n", "[a]\nq_rad = 1\n", "[a]\nq_rad = []\n", "[a]\ntip_m = [1.0, 2.0]\n",
-             '[a]\nq_rad = ["1"]\n', "[a]\nq_rad = [nan]\n", "a = 1\n", "[a", "[a]\nq_rad=[1.0]\ntip_m=[1.0,2.0,3.0]\n"],
-)  # fmt: skip
+    "text",
+    [
+        "[a]\n",
+        "[a]\nx = 1\n",
+        "[a]\nq_rad = 1\n",
+        "[a]\nq_rad = []\n",
+        "[a]\ntip_m = [1.0, 2.0]\n",
+        '[a]\nq_rad = ["1"]\n',
+        "[a]\nq_rad = [nan]\n",
+        "a = 1\n",
+        "[a",
+        "[a]\nq_rad=[1.0]\ntip_m=[1.0,2.0,3.0]\n",
+    ],
+)
 def test_a_places_file_that_is_wrong_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "places.toml"
     file.write_text(text)
@@ -422,9 +425,7 @@ def test_a_tip_that_is_said_in_the_trackers_frame_goes_there(where: str) -> None
         arm = dataclasses.replace(RIGHT, effects=(*RIGHT.effects, Effect("base_frame", None, values)))
     else:
         half = 0.5 * turn_rad
-        stream = CameraStream(
-            "vicon", "tool", origin_m=origin_m, orientation=(math.cos(half), 0.0, 0.0, math.sin(half))
-        )
+        stream = CameraStream("vicon", "tool", origin_m=origin_m, orientation=(math.cos(half), 0.0, 0.0, math.sin(half)))
         arm = dataclasses.replace(RIGHT, camera=Camera(stream=stream))
     place = compose(tracker_place(arm), RigidPose((0.4, 1.5, 0.0), (1.0, 0.0, 0.0, 0.0)))
     assert place.position_m == pytest.approx((2.0 - 1.5, -0.3 + 0.4, 0.5))

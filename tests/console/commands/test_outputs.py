@@ -28,11 +28,7 @@ plan-contacts --count 2 --out n/q/planned.csv
 register --arm right --markers markers.csv --out n/r
 camera board --board 5x7 --square 30mm --out n/s
 """.strip().splitlines()
-ELSEWHERE = {
-    "bringup": "tests/procedures/bringup",
-    "tune": "tests/procedures/tuning",
-    "demo": "tests/procedures/demo",
-}
+ELSEWHERE = {"bringup": "tests/procedures/bringup", "tune": "tests/procedures/tuning", "demo": "tests/procedures/demo"}
 
 
 def _writes(command: CommandSpec) -> bool:
@@ -41,11 +37,7 @@ def _writes(command: CommandSpec) -> bool:
 
 @pytest.mark.parametrize(
     "command",
-    [
-        one
-        for one in COMMANDS
-        if _writes(one) and {f for o in one.options for f in o.flags} & {*WRITES_NOTHING}
-    ],
+    [one for one in COMMANDS if _writes(one) and {f for o in one.options for f in o.flags} & {*WRITES_NOTHING}],
     ids=lambda command: command.name,
 )
 def test_a_command_that_is_to_write_nothing_demands_no_place_and_otherwise_does(
@@ -65,9 +57,7 @@ def test_a_command_that_is_to_write_nothing_demands_no_place_and_otherwise_does(
     assert f"required: --out (only {dry} needs none)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "line", ["gap --record --mock --quick --plan-only", "iso9283 --mock --quick --plan-only"]
-)
+@pytest.mark.parametrize("line", ["gap --record --mock --quick --plan-only", "iso9283 --mock --quick --plan-only"])
 def test_a_plan_is_printed_and_nothing_written(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,9 +25,7 @@ def files(tmp_path: Path) -> list[str]:
     return ["plan-path", str(tmp_path / "path.csv"), "--points", str(tmp_path / "points.csv")]
 
 
-def test_stops_for_the_session_and_as_a_script(
-    files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_stops_for_the_session_and_as_a_script(files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     line = [*files, "--out", str(out), "--stops", "--any-order", "--tolerance", "30mm"]
     assert main(line) == 0
@@ -42,9 +40,7 @@ def test_stops_for_the_session_and_as_a_script(
     given.plan = str(out / "poses.csv")
     plan = plan_from_options(given, load_arm("right"))
     assert plan is not None
-    assert [target.q_rad for target in plan.targets] == [
-        pytest.approx(stop["q_rad"], abs=1e-6) for stop in found["stops"]
-    ]
+    assert [target.q_rad for target in plan.targets] == [pytest.approx(stop["q_rad"], abs=1e-6) for stop in found["stops"]]
     assert main(line) == 2
     assert "never overwritten" in capsys.readouterr().err
 

@@ -67,9 +67,7 @@ def test_measured_boards_are_taken_from_boards_json(capsys, tmp_path):
     board = {"origin_m": [0.45, 0.0, 0.02], "rotation": np.eye(3).tolist()}
     file = tmp_path / "boards.json"
     file.write_text(json.dumps({"format": "boards/1", "boards": {"desk": board}}))
-    status, out, _ = said(
-        capsys, "--boards", str(file), "--setups", "desk", "--only", "table", "--count", "4"
-    )
+    status, out, _ = said(capsys, "--boards", str(file), "--setups", "desk", "--only", "table", "--count", "4")
     assert status == 0
     assert "33 desk" in out
 

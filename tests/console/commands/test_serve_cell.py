@@ -44,9 +44,7 @@ def test_six_boards_of_one_arm_are_served_as_fast_as_those_of_two(tmp_path: Path
     assert not [said for said in warnings(sheet(cell.arms[0].arm)) if "bus" in said]
 
 
-def test_two_arms_of_bought_boards_on_one_bus_are_served_as_fast_as_it_carries(
-    tmp_path: Path, served: list[Any]
-) -> None:
+def test_two_arms_of_bought_boards_on_one_bus_are_served_as_fast_as_it_carries(tmp_path: Path, served: list[Any]) -> None:
     arm = ["--joints", "6", "--boards", "cia402", "--yes"]
     for name in ("a", "b"):
         assert main(["new", "--out", str(tmp_path / f"{name}.toml"), *arm]) == 0
@@ -74,7 +72,7 @@ def test_with_a_bus_for_each_arm_nothing_is_slower() -> None:
         (["--can-channel", "can1"], "--can-channel: not together with --cell"),
         (["--rate", "5"], "--rate: expected 50 to 1200 Hz, got 5"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_a_cell_is_refused(
     served: list[Any], capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
 ) -> None:
@@ -83,9 +81,7 @@ def test_what_does_not_fit_a_cell_is_refused(
     assert served == []
 
 
-def test_a_rate_that_is_much_for_the_bus_of_one_arm_is_said(
-    served: list[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rate_that_is_much_for_the_bus_of_one_arm_is_said(served: list[Any], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["serve", "--arm", "right", "--rate", "1000"]) == 0
     said = capsys.readouterr().err
     assert "--rate 1000: the boards need 81 % of their CAN bus, good is up to 70 % (--rate 864)" in said

@@ -19,9 +19,7 @@ def points(tmp_path: Path) -> Path:
     every = recorded().points
     some = every.chosen(list(range(0, len(every), 6)))
     file = tmp_path / "points.csv"
-    write_points(
-        file, make_points(some.setup, some.point, some.repeat, some.q_rad, some.tip_m, some.direction)
-    )
+    write_points(file, make_points(some.setup, some.point, some.repeat, some.q_rad, some.tip_m, some.direction))
     return file
 
 
@@ -30,9 +28,7 @@ def test_the_map_and_its_words(points: Path, tmp_path: Path, capsys: pytest.Capt
     path.write_text(PATH)
     visits = tmp_path / "visits.csv"
     some = recorded().points.chosen([0, 1, 2, 3])
-    write_points(
-        visits, make_points(["pose"] * 4, ["P1", "P1", "P2", "P2"], [1, 2, 1, 2], some.q_rad, some.tip_m)
-    )
+    write_points(visits, make_points(["pose"] * 4, ["P1", "P1", "P2", "P2"], [1, 2, 1, 2], some.q_rad, some.tip_m))
     line = ["trust", "--points", str(points), "--out", str(out), "--tolerance", "30mm", "--task", str(path)]
     line += ["--visits", str(visits)]
     assert main([*line, "--payload", "0", "--payload", "1"]) == 0

@@ -18,9 +18,7 @@ def line(tmp_path: Path) -> list[str]:
     return ["trust", "--design", "right", "--tolerances", str(file), "--arms", "30", "--workers", "1"]
 
 
-def test_the_report_and_its_words(
-    line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_and_its_words(line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main([*line, "--out", str(out), "--tolerance", "2mm"]) == 0
     printed = capsys.readouterr().out
@@ -37,9 +35,7 @@ def test_the_report_and_its_words(
     }
     for stage in found["stages"]:
         assert stage["kept_m"]["5 %"]["value"] <= stage["kept_m"]["95 %"]["value"]
-        assert (
-            0.0 <= stage["share_within_tolerance"]["lower"] <= stage["share_within_tolerance"]["upper"] <= 1.0
-        )
+        assert 0.0 <= stage["share_within_tolerance"]["lower"] <= stage["share_within_tolerance"]["upper"] <= 1.0
     with np.load(out / "map.npz") as chart:
         assert chart["within_95_m"].shape == (3, len(chart["tip_m"]))
         assert chart["kept_m"].shape == (3, 30)
@@ -81,9 +77,7 @@ def test_a_study_that_was_stopped_is_finished_and_another_one_refused(
         (["--design", "right", "--tolerances", "right", "--payload=-1"], "expected a mass not below 0"),
     ],
 )
-def test_wrong_input_writes_nothing(
-    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_input_writes_nothing(options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trust", "--out", str(tmp_path / "out"), *options]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

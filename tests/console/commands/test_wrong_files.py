@@ -14,11 +14,15 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 
 POINTS = (
-    "calibrate --points {} --out OUT", "gap --points {} --out OUT", "trust --points {} --out OUT",
+    "calibrate --points {} --out OUT",
+    "gap --points {} --out OUT",
+    "trust --points {} --out OUT",
     "verify --against ARM --points {} --out OUT",
-    "plan-path --points {} way.csv --out OUT", "plan-poses --points {} --noise 1mm",
-    "check-up --points {} --recorded right.csv --out OUT", "check-up --points right.csv --recorded {} --out OUT",
-)  # fmt: skip
+    "plan-path --points {} way.csv --out OUT",
+    "plan-poses --points {} --noise 1mm",
+    "check-up --points {} --recorded right.csv --out OUT",
+    "check-up --points right.csv --recorded {} --out OUT",
+)
 OTHERS = ("iso9283 --points {} --out OUT", "calibrate-distances --points {} --out OUT")
 
 
@@ -52,12 +56,16 @@ def refused(line: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("line", [*POINTS, *OTHERS])
 @pytest.mark.parametrize(
     ("file", "says"),
-    [("missing.csv", "missing.csv: cannot be read"), ("empty.csv", "empty.csv, line 1: required column"),
-     ("other.csv", ": is the file of another arm?"), ("right.toml", "right.toml, line 1: required column")],
-)  # fmt: skip
+    [
+        ("missing.csv", "missing.csv: cannot be read"),
+        ("empty.csv", "empty.csv, line 1: required column"),
+        ("other.csv", ": is the file of another arm?"),
+        ("right.toml", "right.toml, line 1: required column"),
+    ],
+)
 def test_a_file_that_is_no_table_of_this_arm_is_named(
     line: str, file: str, says: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:  # fmt: skip
+) -> None:
     refused(line.format(file), folder, monkeypatch)
     assert says in capsys.readouterr().err or (line.startswith("iso9283") and file == "other.csv")
 
@@ -80,7 +88,7 @@ def test_angles_in_degrees_are_told_by_every_command_that_takes_points(
         ("arm model.urdf", "got XML (`armwright new --from-urdf`"),
         ("new --joints 3 --axes zzz --out new.toml --yes", "axes: expected one across the arm"),
     ],
-)  # fmt: skip
+)
 def test_what_was_meant_otherwise_is_said(
     line: str, says: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

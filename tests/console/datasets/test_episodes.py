@@ -18,9 +18,7 @@ from control.model.description import arm_text, load_arm
 from tests.recordings import MODES, write_recording
 
 ARM = load_arm("right")
-HOLDING, MOVING, STOPPING, GUIDING = (
-    MODES.index(name) for name in ("HOLDING", "MOVING", "STOPPING", "GUIDING")
-)
+HOLDING, MOVING, STOPPING, GUIDING = (MODES.index(name) for name in ("HOLDING", "MOVING", "STOPPING", "GUIDING"))
 
 
 def series_of(path: Path, cycles: int, changes: dict[int, dict[str, float]] | None = None) -> Series:
@@ -29,9 +27,7 @@ def series_of(path: Path, cycles: int, changes: dict[int, dict[str, float]] | No
 
 def rows_of(episode: Episode, series: Series) -> list[int]:
     """The rows of the recording that the samples are; its set-points rise for 125 cycles."""
-    return [
-        int(np.abs(series.joint_set_rad[:, 0] - wanted).argmin()) for wanted in episode.joint_set_rad[:, 0]
-    ]
+    return [int(np.abs(series.joint_set_rad[:, 0] - wanted).argmin()) for wanted in episode.joint_set_rad[:, 0]]
 
 
 def test_each_run_with_a_motion_is_an_episode_without_what_was_held(tmp_path: Path) -> None:

@@ -20,21 +20,33 @@ from tests.recordings import MODES, write_recording
 ARM = load_arm("right")
 WITHOUT = "pyarrow (the extra `lerobot`, 55 MB) is not installed"
 # of lerobot 0.4.4, lerobot.datasets: what each frame and each episode must have
-OF_FRAMES = {
-    "timestamp": "float",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
+OF_FRAMES = {"timestamp": "float", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64"}
 OF_EPISODES = {
-    "episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index", "data/chunk_index", "data/file_index",
-    "meta/episodes/chunk_index", "meta/episodes/file_index",
-}  # fmt: skip
+    "episode_index",
+    "tasks",
+    "length",
+    "dataset_from_index",
+    "dataset_to_index",
+    "data/chunk_index",
+    "data/file_index",
+    "meta/episodes/chunk_index",
+    "meta/episodes/file_index",
+}
 OF_INFO = {
-    "codebase_version", "robot_type", "total_episodes", "total_frames", "total_tasks", "chunks_size", "data_files_size_in_mb",
-    "video_files_size_in_mb", "fps", "splits", "data_path", "video_path", "features",
-}  # fmt: skip
+    "codebase_version",
+    "robot_type",
+    "total_episodes",
+    "total_frames",
+    "total_tasks",
+    "chunks_size",
+    "data_files_size_in_mb",
+    "video_files_size_in_mb",
+    "fps",
+    "splits",
+    "data_path",
+    "video_path",
+    "features",
+}
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +84,7 @@ def test_the_dataset_has_lerobots_layout_and_the_recordings_values(
     wanted = [*episodes_of(read_series(log), 100)] * 2
     begin = 0
     for number, (about, episode) in enumerate(zip(episodes, wanted, strict=True)):
-        file = info["data_path"].format(
-            chunk_index=about["data/chunk_index"], file_index=about["data/file_index"]
-        )
+        file = info["data_path"].format(chunk_index=about["data/chunk_index"], file_index=about["data/file_index"])
         table = parquet.read_table(out / file)
         assert table.column_names == list(info["features"])
         for name, kind in OF_FRAMES.items():
@@ -132,9 +142,8 @@ def test_statistics_are_of_each_column() -> None:
     ],
 )
 def test_a_bad_option_is_one_message_and_writes_nothing(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    options: list[str], said: str,
-) -> None:  # fmt: skip
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     files = [one for one in options if one.endswith(".armlog")]
     assert export(log, *files, "--out", "out", *options[len(files) :]) == 2
@@ -153,10 +162,7 @@ def test_recordings_without_a_motion_and_of_several_arms_are_one_message(
     assert export(still, *rest) == 2
     assert "the recordings hold no motion" in capsys.readouterr().err
     assert export(log, other, *rest) == 2
-    assert (
-        "expected one arm, got right (a.armlog, run 1) and left (left.armlog, run 1)"
-        in capsys.readouterr().err
-    )
+    assert "expected one arm, got right (a.armlog, run 1) and left (left.armlog, run 1)" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 
 

@@ -37,14 +37,7 @@ SocketChannel.__init__.__defaults__ = ({LIMIT_S}, *SocketChannel.__init__.__defa
 del sys.argv[0]
 runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 """
-CHARACTERS = {
-    "space": " ",
-    "full_stop": ".",
-    "underscore": "_",
-    "minus": "-",
-    "greater_than_sign": ">",
-    "colon": ":",
-}
+CHARACTERS = {"space": " ", "full_stop": ".", "underscore": "_", "minus": "-", "greater_than_sign": ">", "colon": ":"}
 NAMES = {char: name for name, char in CHARACTERS.items()}
 
 
@@ -97,10 +90,7 @@ async def console_on(
     """The console, connected."""
     served = Served(cell, folder)
     shared = {"--arm": "right", "--socket": str(served.path)}
-    async with console_of([ArmAtDesk(arm, served.path, files_in(folder), shared)], served, size) as (
-        app,
-        pilot,
-    ):
+    async with console_of([ArmAtDesk(arm, served.path, files_in(folder), shared)], served, size) as (app, pilot):
         yield app, pilot, served
 
 
@@ -118,9 +108,7 @@ async def console_of(
     for desk in app.desks:
         desk.link.answer_s = LIMIT_S
     patch = pytest.MonkeyPatch()
-    patch.setattr(
-        "console.screen.operator.command", lambda *words: [sys.executable, "-c", PATIENT_CLIENT, *words]
-    )
+    patch.setattr("console.screen.operator.command", lambda *words: [sys.executable, "-c", PATIENT_CLIENT, *words])
     pump = asyncio.create_task(served.run())
     try:
         async with app.run_test(size=size) as pilot:
@@ -145,9 +133,7 @@ async def until(pilot: Pilot[Any], is_so: Callable[[], bool], limit_s: float = L
         if loop.time() > end_s:
             app: Any = pilot.app
             mode = app.link.status and app.link.status["mode"]
-            raise AssertionError(
-                f"not so within {limit_s} s: {mode}, {app.screen}, {app.focused}: {said(app)}"
-            )
+            raise AssertionError(f"not so within {limit_s} s: {mode}, {app.screen}, {app.focused}: {said(app)}")
 
 
 async def press(pilot: Pilot[Any], *keys: str) -> None:

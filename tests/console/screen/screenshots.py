@@ -65,9 +65,7 @@ async def _moves_and_pauses(app: ConsoleApp, pilot: Pilot[Any], served: Served) 
     """Three motions, the last one paused on its way."""
     for goal in GOALS:
         await until(pilot, lambda: _mode(app) == "HOLDING", LIMIT_s)
-        answer = handled(
-            served.cell, {"do": "move_joints", "q_rad": list(goal), "speed": 0.25, "detached": True}, 99
-        )
+        answer = handled(served.cell, {"do": "move_joints", "q_rad": list(goal), "speed": 0.25, "detached": True}, 99)
         if not answer["ok"]:
             raise RuntimeError(answer["error"])
         await until(pilot, lambda: _mode(app) == "MOVING", LIMIT_s)

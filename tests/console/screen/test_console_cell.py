@@ -20,8 +20,7 @@ from tests.pair import APART, FREE, PAIR, Pair, holding_pair
 async def operated(pair: Pair, folder: Path) -> None:
     served = Served(pair, folder, PAIR.names)
     stations = [
-        ArmAtDesk(placed.arm, served.paths[placed.name], files_in(folder), {"--arm": placed.name})
-        for placed in PAIR.arms
+        ArmAtDesk(placed.arm, served.paths[placed.name], files_in(folder), {"--arm": placed.name}) for placed in PAIR.arms
     ]
     async with console_of(stations, served, (80, 24)) as (app, pilot):
         await until(pilot, lambda: " left " in shown(app, "head") and "right HOLDING" in shown(app, "head"))

@@ -42,9 +42,7 @@ def arm_of(joint_count: int) -> Arm:
     """The reference arm's parts in a row."""
     links = tuple(dataclasses.replace(RIGHT.links[j % 2], L_m=0.1) for j in range(joint_count))
     drives = tuple(
-        dataclasses.replace(
-            RIGHT.drives[j % 3], joint=j + 1, encoder_board=j // 3, encoder_channel=j % 3, motor_node=j + 1
-        )
+        dataclasses.replace(RIGHT.drives[j % 3], joint=j + 1, encoder_board=j // 3, encoder_channel=j % 3, motor_node=j + 1)
         for j in range(joint_count)
     )
     return dataclasses.replace(RIGHT, links=links, drives=drives)
@@ -54,14 +52,33 @@ def status_of(joint_count: int = 3, **changes: Any) -> dict[str, Any]:
     """An arm that holds."""
     zeros = [0.0] * joint_count
     return {
-        "mode": "HOLDING", "run": 1, "is_homed": True, "t_s": 10.0, "q_rad": zeros, "joint_rad": zeros,
-        "speed_rad_s": zeros, "following_error_rad": zeros, "count": [-12345678] * joint_count, "current_A": zeros,
-        "supply_V": [24.0] * joint_count, "temperature_C": [125.0] * joint_count, "tip_m": (0.5, -0.2, 0.3),
-        "drive_state": ["OPERATION ENABLED"] * joint_count, "tip_set_m": (0.5, -0.2, 0.3), "camera_m": (0.5, -0.2, 0.3),
-        "progress": 0.0, "was_stopped": False, "override": 1.0, "faults": [], "warnings": [], "period_s": 0.002,
-        "missed_cycles": 0, "late_p99_s": 1e-4,
-        "encoder_stale_s": [None] * joint_count, "drive_stale_s": [None] * joint_count,
-    } | changes  # fmt: skip
+        "mode": "HOLDING",
+        "run": 1,
+        "is_homed": True,
+        "t_s": 10.0,
+        "q_rad": zeros,
+        "joint_rad": zeros,
+        "speed_rad_s": zeros,
+        "following_error_rad": zeros,
+        "count": [-12345678] * joint_count,
+        "current_A": zeros,
+        "supply_V": [24.0] * joint_count,
+        "temperature_C": [125.0] * joint_count,
+        "tip_m": (0.5, -0.2, 0.3),
+        "drive_state": ["OPERATION ENABLED"] * joint_count,
+        "tip_set_m": (0.5, -0.2, 0.3),
+        "camera_m": (0.5, -0.2, 0.3),
+        "progress": 0.0,
+        "was_stopped": False,
+        "override": 1.0,
+        "faults": [],
+        "warnings": [],
+        "period_s": 0.002,
+        "missed_cycles": 0,
+        "late_p99_s": 1e-4,
+        "encoder_stale_s": [None] * joint_count,
+        "drive_stale_s": [None] * joint_count,
+    } | changes
 
 
 # ---- stale joints
@@ -79,10 +96,7 @@ def test_a_stale_joint_has_a_sign_and_its_age_and_the_others_have_not() -> None:
 
 def test_no_joint_is_beyond_its_range_before_homing_tells_where_it_is() -> None:
     far = {"q_rad": [9.0, 0.0, 0.0]}
-    known, unknown = (
-        text_of(joint_rows(status_of(is_homed=is_homed, **far), RIGHT, "J1", 140))
-        for is_homed in (True, False)
-    )
+    known, unknown = (text_of(joint_rows(status_of(is_homed=is_homed, **far), RIGHT, "J1", 140)) for is_homed in (True, False))
     assert "!+9.0000" in known
     assert "!" not in unknown
     assert unknown.count("not homed") == 3
@@ -237,9 +251,7 @@ def test_a_panel_follows_a_change_of_its_style_sheet() -> None:
         app.link.run = lambda: asyncio.sleep(0)  # type: ignore[method-assign] # no runtime
         async with app.run_test(size=(80, 24)) as pilot:
             found = []
-            app.register_theme(
-                dataclasses.replace(THEME, name="other", foreground="#102030", background="#ffffff")
-            )
+            app.register_theme(dataclasses.replace(THEME, name="other", foreground="#102030", background="#ffffff"))
             for app.theme in (THEME.name, "other"):
                 app.operating.show(status_of())
                 await pilot.pause()
@@ -253,15 +265,16 @@ def test_a_panel_follows_a_change_of_its_style_sheet() -> None:
 
 def test_the_table_of_joints_fits_80_columns_with_the_longest_values() -> None:
     status = status_of(
-        3, q_rad=[-12.3456] * 3, following_error_rad=[-0.1234] * 3, count=[-2147483648] * 3,
-        current_A=[-12.34] * 3, speed_rad_s=[-12.34] * 3, drive_state=["FAULT REACTION ACTIVE"] * 3,
-    )  # fmt: skip
+        3,
+        q_rad=[-12.3456] * 3,
+        following_error_rad=[-0.1234] * 3,
+        count=[-2147483648] * 3,
+        current_A=[-12.34] * 3,
+        speed_rad_s=[-12.34] * 3,
+        drive_state=["FAULT REACTION ACTIVE"] * 3,
+    )
     for in_degrees in (False, True):
-        rows = [
-            *joint_rows(status, RIGHT, "J1", 78, in_degrees),
-            tip_row(status, "X"),
-            *status_rows(status, "", 78),
-        ]
+        rows = [*joint_rows(status, RIGHT, "J1", 78, in_degrees), tip_row(status, "X"), *status_rows(status, "", 78)]
         assert max(width_of(spans) for spans in rows) <= 78
         joints = text_of(rows[1:4]).splitlines()
         assert all(len(line.split()) >= 8 for line in joints)  # no two values touch

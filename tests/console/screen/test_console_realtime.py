@@ -54,16 +54,7 @@ class Terminal:
     def __init__(self, socket: str, folder: Path) -> None:
         self.screen, terminal = pty.openpty()
         fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        command = [
-            sys.executable,
-            "-m",
-            "console.main",
-            "console",
-            "--socket",
-            socket,
-            "--keep",
-            str(folder / "kept.txt"),
-        ]
+        command = [sys.executable, "-m", "console.main", "console", "--socket", socket, "--keep", str(folder / "kept.txt")]
         self.process = subprocess.Popen(
             command,
             stdin=terminal,

@@ -20,16 +20,7 @@ from console.user_config import shows_degrees
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell
-from tests.console.screen.console_rig import (
-    Served,
-    console_on,
-    hold_key,
-    mouse,
-    press,
-    said,
-    shown,
-    until,
-)
+from tests.console.screen.console_rig import Served, console_on, hold_key, mouse, press, said, shown, until
 
 Play = Callable[[ConsoleApp, Pilot[Any], Served], Awaitable[None]]
 
@@ -60,9 +51,7 @@ def jogs(served: Served) -> bool:
 
 def start_move(served: Served) -> None:
     """A motion of somebody else, 3 s long."""
-    answer = handled(
-        served.cell, {"do": "move_joints", "q_rad": [1.2, -0.2, 0.9], "speed": 0.3, "detached": True}, 99
-    )
+    answer = handled(served.cell, {"do": "move_joints", "q_rad": [1.2, -0.2, 0.9], "speed": 0.3, "detached": True}, 99)
     assert answer["ok"], answer
 
 
@@ -78,8 +67,7 @@ def test_a_held_key_jogs_and_the_arm_rests_when_its_repeats_cease(tmp_path: Path
         angles = " ".join(f"{q:.5f}" for q in served.cell.runtime.joint_rad()[0])
         words = lines[-1].split()
         return words[:2] == ["move", "--joints"] and all(
-            abs(float(word) - float(angle)) < 2e-3
-            for word, angle in zip(words[2:], angles.split(), strict=False)
+            abs(float(word) - float(angle)) < 2e-3 for word, angle in zip(words[2:], angles.split(), strict=False)
         )
 
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:

@@ -123,10 +123,6 @@ def test_a_record_tells_how_it_fits_and_one_that_does_not_is_an_error() -> None:
     assert (text.split()[-2:], look) == (["3.1", "~"], "warning")
     assert max(len(HEADING), len(text)) <= 42  # columns beside the board at 80 by 24
     assert record_text({**record, "is_suspect": True}) == ("normal 3 recorded; look", "error")
-    assert record_text({**record, "deviation_sd": None, "deviation_mm": None})[0].split() == [
-        "normal",
-        "3",
-        "20.00",
-    ]
+    assert record_text({**record, "deviation_sd": None, "deviation_mm": None})[0].split() == ["normal", "3", "20.00"]
     unknown = {**record, "deviation_sd": None, "deviation_mm": None, "error_mm": None}
     assert record_text(unknown)[0].split() == ["normal", "3", "-"]

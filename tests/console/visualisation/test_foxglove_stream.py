@@ -61,10 +61,7 @@ def test_messages_say_what_the_status_says_in_the_recordings_topics(cell: Cell) 
     for which, tip_m in tips.items():
         np.testing.assert_allclose(tip_by_frames(sent["/tf"], which), tip_m, atol=1e-9)
     assert sent["/tip/measured"]["pose"]["position"]["x"] == pytest.approx(status["tip_m"][0])
-    assert {entity["frame_id"].partition("/")[0] for entity in sent["/scene"]["entities"]} == {
-        "measured",
-        "set_point",
-    }
+    assert {entity["frame_id"].partition("/")[0] for entity in sent["/scene"]["entities"]} == {"measured", "set_point"}
     schemas = schemas_of(3)
     for topic, message in sent.items():
         assert set(message) <= set(schemas[topic]["properties"]), topic
@@ -93,9 +90,7 @@ def test_what_is_not_known_is_omitted(cell: Cell) -> None:
 
 def test_a_tool_that_is_changed_moves_the_tip(cell: Cell) -> None:
     long = RIGHT.tool.__class__((0.0, 0.0, 0.2), name="long")
-    arm = RIGHT.__class__(
-        **{f: getattr(RIGHT, f) for f in RIGHT.__dataclass_fields__} | {"spare_tools": (long,)}
-    )
+    arm = RIGHT.__class__(**{f: getattr(RIGHT, f) for f in RIGHT.__dataclass_fields__} | {"spare_tools": (long,)})
     messages, status = LiveMessages(arm), cell.client.status()
     topics_of(messages, status)
     sent = topics_of(messages, {**status, "tool": "long"})
@@ -134,20 +129,13 @@ def test_a_viewer_gets_the_arm_through_the_sdks_server(cell: Cell) -> None:
 
     serve(RIGHT, statuses(), FREE, urls.append)
     assert urls[0].startswith("ws://127.0.0.1:")
-    np.testing.assert_allclose(
-        tip_by_frames(seen["/tf"], "measured"), cell.client.status()["tip_m"], atol=1e-4
-    )
+    np.testing.assert_allclose(tip_by_frames(seen["/tf"], "measured"), cell.client.status()["tip_m"], atol=1e-4)
 
 
 def test_a_port_in_use_is_one_error() -> None:
     pytest.importorskip("foxglove", reason="foxglove-sdk (the extra `foxglove`, 19 MB) is not installed")
     with pytest.raises(ArmError, match=r"cannot listen at 127.0.0.1:\d+ .*in use.*choose another PORT"):
-        serve(
-            RIGHT,
-            iter(()),
-            FREE,
-            lambda url: serve(RIGHT, iter(()), address_of(url.removeprefix("ws://")), print),
-        )
+        serve(RIGHT, iter(()), FREE, lambda url: serve(RIGHT, iter(()), address_of(url.removeprefix("ws://")), print))
 
 
 def test_it_listens_on_this_machine_alone_unless_told_otherwise() -> None:
@@ -212,16 +200,12 @@ def test_ctrl_c_and_the_end_of_the_runtime_end_it_and_the_server(
         (["--foxglove", "--from", "1"], "need a LOG"),
     ],
 )
-def test_a_bad_option_is_one_message(
-    capsys: pytest.CaptureFixture[str], options: list[str], said: str
-) -> None:
+def test_a_bad_option_is_one_message(capsys: pytest.CaptureFixture[str], options: list[str], said: str) -> None:
     assert main(["view", *options]) == 2
     assert said in capsys.readouterr().err
 
 
-def test_without_the_sdk_its_installation_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_sdk_its_installation_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     monkeypatch.setattr(view, "connected", lambda given: Client(KeyboardInterrupt()))
     assert main(["view", "--foxglove"]) == 2

@@ -17,16 +17,7 @@ from console.visualisation import pictures
 from console.visualisation.metrics import metrics_json, metrics_of, tip_error_m
 from console.visualisation.pictures import PICTURES
 from console.visualisation.reading import of_columns, read_series
-from console.visualisation.series import (
-    TURNS,
-    Series,
-    chosen,
-    envelope,
-    joined_runs,
-    orders,
-    spectrum,
-    with_gaps,
-)
+from console.visualisation.series import TURNS, Series, chosen, envelope, joined_runs, orders, spectrum, with_gaps
 from console.visualisation.snapshots import TipOfArm, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
@@ -75,25 +66,14 @@ def test_every_form_of_one_recording_gives_the_same_series(recording: Path, tmp_
         found = read_series(tmp_path / name)
         assert len(found) == len(expected)
         np.testing.assert_allclose(np.diff(found.t_s), np.diff(expected.t_s), atol=2e-9)  # nine digits
-        for key in (
-            "q_rad",
-            "q_set_rad",
-            "current_A",
-            "voltage_V",
-            "temperature_C",
-            "tip_m",
-            "late_s",
-            "missed",
-        ):
+        for key in ("q_rad", "q_set_rad", "current_A", "voltage_V", "temperature_C", "tip_m", "late_s", "missed"):
             np.testing.assert_allclose(getattr(found, key), getattr(expected, key), rtol=1e-7, atol=1e-12)
         np.testing.assert_array_equal(found.following_error_rad.shape, expected.following_error_rad.shape)
         assert [found.modes[k] for k in found.mode] == [expected.modes[k] for k in expected.mode]
     assert read_series(tmp_path / "log.mcap").arm is not None  # attached
 
 
-def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_nothing_else_is_known(
-    tmp_path: Path,
-) -> None:
+def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_nothing_else_is_known(tmp_path: Path) -> None:
     kinematics = ForwardKinematics(RIGHT)
     old = read_series(write_recording(tmp_path / "old.armlog", 60, arm_toml=TOML))
     np.testing.assert_array_equal(old.joint_rad, old.q_rad)
@@ -104,9 +84,7 @@ def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_no
     ahead = AHEAD_rad * np.arange(1, 4)
     for name in ("a.armlog", "log.mcap", "log.csv"):
         found = read_series(tmp_path / name, RIGHT)
-        np.testing.assert_allclose(
-            found.q_rad - found.joint_rad, np.broadcast_to(ahead, found.q_rad.shape), atol=1e-8
-        )
+        np.testing.assert_allclose(found.q_rad - found.joint_rad, np.broadcast_to(ahead, found.q_rad.shape), atol=1e-8)
         traces = traces_of(found, TipOfArm(kinematics))
         np.testing.assert_allclose(traces.commanded_m, kinematics.tips(found.q_set_rad - ahead), atol=1e-8)
         np.testing.assert_allclose(traces.measured_m, kinematics.tips(found.q_rad - ahead), atol=1e-8)
@@ -163,9 +141,7 @@ def test_a_folder_gets_a_picture_each_and_a_file_all(recording: Path, tmp_path: 
     assert main(["plot", str(recording), "--joints", "2", "--out", str(tmp_path / "each")]) == 0
     assert {path.stem for path in (tmp_path / "each").iterdir()} == {picture.name for picture in PICTURES}
     svg = tmp_path / "all.svg"
-    assert (
-        main(["plot", str(recording), "--out", str(svg), "--what", "errors,currents", "--joints", "3"]) == 0
-    )
+    assert main(["plot", str(recording), "--out", str(svg), "--what", "errors,currents", "--joints", "3"]) == 0
     text = svg.read_text("utf-8")
     for words in ("Following error", "Motor current", "joint 3", "error [mrad]", "current [A]", "time [s]"):
         assert words in text
@@ -180,9 +156,7 @@ def test_any_number_of_joints_is_drawn(tmp_path: Path) -> None:
     assert main(["plot", str(log), "--out", str(tmp_path / "p"), "--what", "tracking,supply,spectra"]) == 0
 
 
-def test_a_log_with_angles_alone_is_drawn_and_its_figures_are_null(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_with_angles_alone_is_drawn_and_its_figures_are_null(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "log.csv"
     log.write_text("run,t_s,q1_rad\na,0,0.1\na,0.1,0.2\nb,0,0.3\nb,0.1,0.4\n")
     assert main(["plot", str(log), "--out", str(tmp_path / "p")]) == 0
@@ -197,11 +171,7 @@ def test_a_log_with_angles_alone_is_drawn_and_its_figures_are_null(
 
 def test_rows_of_nothing_but_nan_are_drawn(tmp_path: Path) -> None:
     nan = math.nan
-    gone = {
-        f"{kind}{j}_{unit}": nan
-        for kind, unit in (("i", "A"), ("u", "V"), ("temperature", "C"))
-        for j in (1, 2, 3)
-    }
+    gone = {f"{kind}{j}_{unit}": nan for kind, unit in (("i", "A"), ("u", "V"), ("temperature", "C")) for j in (1, 2, 3)}
     changes = {k: {**gone, "q1_rad": nan, "q2_set_rad": nan, "x_m": nan} for k in range(100)}
     log = write_recording(tmp_path / "a.armlog", 100, changes=changes, arm_toml=TOML)
     assert main(["plot", str(log), "--out", str(tmp_path / "p.svg")]) == 0
@@ -217,9 +187,7 @@ def test_a_recording_of_one_cycle_is_drawn(tmp_path: Path) -> None:
     assert main(["plot", str(log), "--joints", "1", "--out", str(tmp_path / "p.svg")]) == 0
 
 
-def test_a_torn_recording_is_drawn_and_the_loss_said(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_torn_recording_is_drawn_and_the_loss_said(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     torn = tmp_path / "torn.armlog"
     torn.write_bytes(recording.read_bytes()[:-5])
     assert main(["plot", str(torn), "--json"]) == 0
@@ -243,11 +211,16 @@ def test_a_cut_off_mcap_is_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "expected a recording"), (b"\x00\x01\x02", "expected a recording"), (b"ARMLOG1\n\x10\x00", "recording"),
-        (b"ARMLOG1\n\xff\xff\x00\x00{", "damaged"), (b"run,t_s\n", "q1_rad is missing"),
-        (b"run,t_s,q1_rad\n1,0,nan\n", "line 2"), (b"\x89MCAP0\r\n", "none of the topics"), (b"\x1f\x8bxx", "log"),
+        (b"", "expected a recording"),
+        (b"\x00\x01\x02", "expected a recording"),
+        (b"ARMLOG1\n\x10\x00", "recording"),
+        (b"ARMLOG1\n\xff\xff\x00\x00{", "damaged"),
+        (b"run,t_s\n", "q1_rad is missing"),
+        (b"run,t_s,q1_rad\n1,0,nan\n", "line 2"),
+        (b"\x89MCAP0\r\n", "none of the topics"),
+        (b"\x1f\x8bxx", "log"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_recording_is_one_message_that_names_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, said: str
 ) -> None:
@@ -261,20 +234,22 @@ def test_what_is_no_recording_is_one_message_that_names_the_file(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--what", "pie"], "tracking, errors"), (["--what", ","], "tracking, errors"), (["--joints", "4"], "from 1 to 3"),
-        (["--joints", "0"], "from 1 to 3"), (["--joints", "one"], "from 1 to 3"), (["--run", "9"], "expected one of 0, 1"),
-        (["--from", "5"], "it contains 0.000 to"), (["--from", "2", "--to", "1"], "time span"), (["--out", "a.gif"], ".svg"),
+        (["--what", "pie"], "tracking, errors"),
+        (["--what", ","], "tracking, errors"),
+        (["--joints", "4"], "from 1 to 3"),
+        (["--joints", "0"], "from 1 to 3"),
+        (["--joints", "one"], "from 1 to 3"),
+        (["--run", "9"], "expected one of 0, 1"),
+        (["--from", "5"], "it contains 0.000 to"),
+        (["--from", "2", "--to", "1"], "time span"),
+        (["--out", "a.gif"], ".svg"),
     ],
-)  # fmt: skip
-def test_a_bad_option_is_one_message(
-    recording: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
-) -> None:
+)
+def test_a_bad_option_is_one_message(recording: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str) -> None:
     assert said in refused(capsys, str(recording), *options)
 
 
-def test_a_picture_of_what_was_not_recorded_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_of_what_was_not_recorded_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_recording(tmp_path / "a.armlog", 50, 2, arm="nobody's")
     assert "give it with --arm" in refused(capsys, str(log), "--what", "tip")
     assert "2 joints, but arm right has 3" in refused(capsys, str(log), "--arm", "right")

@@ -50,10 +50,12 @@ OTHER = replace(
     tool=Tool((0.01, 0.02, 0.03)),
     table=None,
     links=(
-        Link("revolute", 0.3, 0.1, 0.0, 0.0), Link("revolute", 0.02, -0.4, 0.1, -1.2),
-        Link("revolute", 0.0, 0.7, 0.25, 0.3), Link("fixed", 0.1, 0.2, 0.05, 1.6),
+        Link("revolute", 0.3, 0.1, 0.0, 0.0),
+        Link("revolute", 0.02, -0.4, 0.1, -1.2),
+        Link("revolute", 0.0, 0.7, 0.25, 0.3),
+        Link("fixed", 0.1, 0.2, 0.05, 1.6),
     ),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +99,7 @@ class Window:
         self.is_closed = True
 
 
-@pytest.mark.parametrize(
-    "arm", [ARM, OTHER, load_arm("so101")], ids=["standard", "modified", "joints with names"]
-)
+@pytest.mark.parametrize("arm", [ARM, OTHER, load_arm("so101")], ids=["standard", "modified", "joints with names"])
 def test_both_arms_of_the_scene_stand_where_kinematics_says(arm: Any) -> None:
     scene = ArmScene(arm)
     rng = np.random.default_rng(2)
@@ -226,9 +226,13 @@ def test_keys_pause_step_and_change_the_speed_within_the_recording() -> None:
 def statuses() -> Iterator[dict[str, Any]]:
     for k in range(5):
         yield {
-            "t_s": 0.1 * k, "q_rad": [0.1 * k, 0.0, 0.0], "q_set_rad": [0.2 * k, 0.0, 0.0], "mode": "MOVING",
-            "camera_m": [0.1, 0.2, 0.3] if k == 2 else None, "current_A": [1.0, None, 2.0],
-        }  # fmt: skip
+            "t_s": 0.1 * k,
+            "q_rad": [0.1 * k, 0.0, 0.0],
+            "q_set_rad": [0.2 * k, 0.0, 0.0],
+            "mode": "MOVING",
+            "camera_m": [0.1, 0.2, 0.3] if k == 2 else None,
+            "current_A": [1.0, None, 2.0],
+        }
 
 
 def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
@@ -246,9 +250,7 @@ def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
     assert window.is_closed
     assert len(window.tips) == 5
     assert clock.t == pytest.approx(100.5)
-    np.testing.assert_allclose(
-        window.tips[3][1], ForwardKinematics(ARM).tips([[0.6, 0.0, 0.0]])[0], atol=1e-9
-    )
+    np.testing.assert_allclose(window.tips[3][1], ForwardKinematics(ARM).tips([[0.6, 0.0, 0.0]])[0], atol=1e-9)
     assert window.geoms == [0, 2, 5, 7, 9]  # two lines a snapshot, and the mark
 
 
@@ -256,9 +258,7 @@ def test_a_trail_keeps_the_last_of_it() -> None:
     trail = TipPath(TipOfArm(ForwardKinematics(ARM)), most=3)
     for k in range(7):
         traces = trail.add(Snapshot(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    np.testing.assert_allclose(
-        traces.measured_m, ForwardKinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)])
-    )
+    np.testing.assert_allclose(traces.measured_m, ForwardKinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)]))
 
 
 def test_moments_without_all_angles_are_passed_over(tmp_path: Path) -> None:
@@ -305,9 +305,7 @@ def test_without_opengl_the_pictures_are_lines_and_it_is_said(
 def test_a_folder_gets_a_picture_each_and_a_gif_all(log: Path, tmp_path: Path) -> None:
     part = ["--from", "0.2", "--to", "0.31", "--fps", "10"]
     assert main(["view", str(log), "--render", str(tmp_path / "frames"), *part]) == 0
-    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [
-        f"frame-{k:05d}.png" for k in (1, 2)
-    ]
+    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [f"frame-{k:05d}.png" for k in (1, 2)]
     assert main(["view", str(log), "--render", str(tmp_path / "a.gif"), *part]) == 0
     with Image.open(tmp_path / "a.gif") as gif:
         assert getattr(gif, "n_frames", 1) == 2
@@ -333,27 +331,24 @@ def test_without_a_display_the_way_without_a_window_is_named(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--render", "film.mp4"], "ffmpeg"), (["--speed", "0"], "--speed"), (["--fps", "0"], "--fps"),
-        (["--render", "a.png", "--rerun"], "contradict"), (["--render", "x"], "at most 3 pictures"),
-        (["--from", "9"], "it contains"), (["--rerun", "b.armlog"], "expected FILE.rrd"),
+        (["--render", "film.mp4"], "ffmpeg"),
+        (["--speed", "0"], "--speed"),
+        (["--fps", "0"], "--fps"),
+        (["--render", "a.png", "--rerun"], "contradict"),
+        (["--render", "x"], "at most 3 pictures"),
+        (["--from", "9"], "it contains"),
+        (["--rerun", "b.armlog"], "expected FILE.rrd"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_option_is_one_message(
-    log: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    options: list[str],
-    said: str,
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, options: list[str], said: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(view, "FRAMES_MOST", 3)
     assert said in refused(capsys, str(log), *options)
 
 
-def test_an_arm_that_is_not_known_or_another_one_is_one_message(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_arm_that_is_not_known_or_another_one_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_recording(tmp_path / "a.armlog", 9, 2, arm="nobody's")
     assert "give it with --arm" in refused(capsys, str(log))
     assert "2 joints, but arm right has 3" in refused(capsys, str(log), "--arm", "right")
@@ -361,17 +356,13 @@ def test_an_arm_that_is_not_known_or_another_one_is_one_message(
     assert "empty recording" in refused(capsys, str(empty))
 
 
-def test_live_without_a_runtime_says_how_to_start_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_live_without_a_runtime_says_how_to_start_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "armwright serve" in refused(capsys, "--socket", str(tmp_path / "none.sock"))
     assert "need a LOG" in refused(capsys, "--from", "1")
 
 
 @pytest.mark.usefixtures("no_gl")
-def test_a_live_arm_is_one_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_live_arm_is_one_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     client = SimpleNamespace(status=statuses().__next__, close=lambda: None)
     monkeypatch.setattr(view, "connected", lambda given: client)
     assert main(["view", "--render", str(tmp_path / "now.png")]) == 0
@@ -407,13 +398,7 @@ def test_rerun_gets_every_moment_with_its_time(
     times = [more["duration"] for name, _, more in rerun.calls if name == "set_time"]
     np.testing.assert_allclose(times, np.arange(50) * 0.02, atol=0.0021)
     logged = {values[0] for name, values, _ in rerun.calls if name == "log"}
-    assert {
-        "joint1/q_rad",
-        "joint3/following_error_rad",
-        "joint2/current_A",
-        "arm/measured",
-        "arm/commanded",
-    } <= logged
+    assert {"joint1/q_rad", "joint3/following_error_rad", "joint2/current_A", "arm/measured", "arm/commanded"} <= logged
     assert "arm/camera" in logged
     assert next(more for name, _, more in rerun.calls if name == "init") == {"spawn": False}
 
@@ -425,9 +410,7 @@ def test_without_rerun_its_installation_is_named(
     assert "pip install -e '.[rerun]'" in refused(capsys, str(log), "--rerun")
 
 
-def test_opengl_is_asked_for_without_a_display_and_the_users_choice_stays(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_opengl_is_asked_for_without_a_display_and_the_users_choice_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
         monkeypatch.delenv(name, raising=False)

@@ -36,9 +36,7 @@ def model_of(arm: Arm, payload_kg: float = 0.0) -> tuple[mujoco.MjModel, mujoco.
         mujoco.mju_mat2Quat(quaternion, placed[:3, :3].flatten())
         body = body.add_body(pos=placed[:3, 3], quat=quaternion)
         mass, com, inertia = link.mass_kg or 0.0, link.com_m or (0, 0, 0), link.inertia_kg_m2 or (0, 0, 0)
-        _weigh(
-            body, mass, com, inertia, arm.tool.position_m, payload_kg if number == len(arm.links) - 1 else 0
-        )
+        _weigh(body, mass, com, inertia, arm.tool.position_m, payload_kg if number == len(arm.links) - 1 else 0)
         if link.joint == "revolute":
             joint += 1
             at, axis = np.zeros(3), np.array([0.0, 0.0, 1.0])

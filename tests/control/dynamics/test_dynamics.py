@@ -29,16 +29,7 @@ def _random_arm(seed: int) -> Arm:
         moments = source.uniform(0.1, 0.15, 3)
         kind = "fixed" if number and source.random() < 0.3 else "revolute"
         links.append(
-            Link(
-                kind,
-                d,
-                theta,
-                length,
-                alpha,
-                source.uniform(0.1, 2),
-                _three(source.uniform(-0.2, 0.2, 3)),
-                _three(moments),
-            )  # type: ignore[arg-type]
+            Link(kind, d, theta, length, alpha, source.uniform(0.1, 2), _three(source.uniform(-0.2, 0.2, 3)), _three(moments))  # type: ignore[arg-type]
         )
     drives = (Drive(1, 50.0, 2048, 0.03, 0.3, 24.0, rotor_inertia_kg_m2=1e-5),)
     gravity = _three(source.uniform(-10, 10, 3))
@@ -69,9 +60,7 @@ def test_torques_and_mass_matrix_are_those_of_mujoco(arm: Arm, payload_kg: float
         data.qpos, data.qvel, data.qacc = q[i], speed[i], push[i]
         mujoco.mj_inverse(model, data)
         expected = data.qfrc_inverse.copy()
-        assert dynamics.inverse(q[i].tolist(), speed[i].tolist(), push[i].tolist()) == pytest.approx(
-            expected, abs=1e-6
-        )
+        assert dynamics.inverse(q[i].tolist(), speed[i].tolist(), push[i].tolist()) == pytest.approx(expected, abs=1e-6)
         assert batch[i] == pytest.approx(expected, abs=1e-6)
         full = np.zeros((arm.joint_count, arm.joint_count))
         mujoco.mj_fullM(model, data, full)
@@ -138,9 +127,7 @@ def test_a_payload_can_differ_from_row_to_row() -> None:
 
 def test_missing_masses_are_named_and_only_when_dynamics_is_asked_for() -> None:
     panda = load_arm(ARMS / "panda.toml")
-    with pytest.raises(
-        MissingModel, match=r"mass_kg, com_m, inertia_kg_m2 of \[\[link\]\] 1 in .*panda\.toml"
-    ):
+    with pytest.raises(MissingModel, match=r"mass_kg, com_m, inertia_kg_m2 of \[\[link\]\] 1 in .*panda\.toml"):
         Dynamics(panda)
     links = (RIGHT.links[0], dataclasses.replace(RIGHT.links[1], com_m=None), *RIGHT.links[2:])
     with pytest.raises(MissingModel, match=r"dynamics needs com_m of \[\[link\]\] 2"):
@@ -149,9 +136,7 @@ def test_missing_masses_are_named_and_only_when_dynamics_is_asked_for() -> None:
 
 def test_a_fixed_link_may_carry_the_mass_of_the_joint_before_it() -> None:
     bare, forearm = RIGHT.links[2], RIGHT.links[3]
-    moved = dataclasses.replace(
-        forearm, mass_kg=0.6, com_m=(0.0, 0.0, -0.2), inertia_kg_m2=(0.01, 0.01, 0.01)
-    )
+    moved = dataclasses.replace(forearm, mass_kg=0.6, com_m=(0.0, 0.0, -0.2), inertia_kg_m2=(0.01, 0.01, 0.01))
     empty = dataclasses.replace(bare, mass_kg=None, com_m=None, inertia_kg_m2=None)
     Dynamics(dataclasses.replace(RIGHT, links=(*RIGHT.links[:2], empty, moved)))
 

@@ -33,9 +33,7 @@ def _phase_margin_deg(drive: Drive, inertia: float, gains: Gains) -> float:
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
 @pytest.mark.parametrize(("payload_kg", "margin_deg"), [(0.0, 48.0), (0.5, 40.0)])
-def test_default_gains_keep_their_phase_margin_in_every_pose(
-    joint: int, payload_kg: float, margin_deg: float
-) -> None:
+def test_default_gains_keep_their_phase_margin_in_every_pose(joint: int, payload_kg: float, margin_deg: float) -> None:
     lower, upper = np.array(RIGHT.limits_rad).T
     poses = np.random.default_rng(1).uniform(lower, upper, (300, 3))
     inertias = Dynamics(RIGHT, payload_kg).mass_matrices(poses)[:, joint - 1, joint - 1]
@@ -75,9 +73,7 @@ def _share_of_play(b: float, a: float, gains: Gains) -> float:
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
-def test_a_cycle_in_play_moves_a_joint_by_little_of_it_with_the_gains_for_an_encoder_behind(
-    joint: int,
-) -> None:
+def test_a_cycle_in_play_moves_a_joint_by_little_of_it_with_the_gains_for_an_encoder_behind(joint: int) -> None:
     drive = dataclasses.replace(RIGHT.drive(joint), encoder_on="joint")
     inertia, constant = 0.5, drive.gear_ratio * drive.torque_constant_Nm_A
     b = constant / (drive.resistance_ohm * inertia)
@@ -96,9 +92,7 @@ def test_a_board_that_holds_by_the_encoder_on_the_motor_has_the_gains_for_that()
 
 def test_gains_of_the_file_win_and_the_rest_is_derived() -> None:
     derived = gains_of(RIGHT, 1)
-    assert gains_of(_with_pid(DrivePid(kp=1.0, ki=2.0, kd=3.0, derivative_filter_s=0.0)), 1) == Gains(
-        1, 2, 3, 0
-    )
+    assert gains_of(_with_pid(DrivePid(kp=1.0, ki=2.0, kd=3.0, derivative_filter_s=0.0)), 1) == Gains(1, 2, 3, 0)
     assert gains_of(_with_pid(DrivePid(kp=7.0)), 1) == dataclasses.replace(derived, kp=7.0)
 
 
@@ -114,9 +108,7 @@ def test_without_masses_gains_must_be_given() -> None:
 
 def test_a_joint_without_inertia_is_named() -> None:
     nothing = (0.0, 0.0, 0.0)
-    links = tuple(
-        dataclasses.replace(k, mass_kg=0.0, com_m=nothing, inertia_kg_m2=nothing) for k in RIGHT.links
-    )
+    links = tuple(dataclasses.replace(k, mass_kg=0.0, com_m=nothing, inertia_kg_m2=nothing) for k in RIGHT.links)
     drives = tuple(dataclasses.replace(d, rotor_inertia_kg_m2=0.0) for d in RIGHT.drives)
     weightless = dataclasses.replace(RIGHT, links=links, drives=drives)
     with pytest.raises(MissingModel, match="its inertia is zero"):

@@ -179,13 +179,9 @@ def test_load_friction_holds_a_gear_too() -> None:
 
 def test_gears_transmit_what_the_links_need_and_no_rotors() -> None:
     q, speed, acceleration = (0.3, -0.6, 0.5), (0.4, -0.2, 0.6), (3.0, -2.0, 5.0)
-    rotors = [
-        d.gear_ratio**2 * d.rotor_inertia_kg_m2 * a for d, a in zip(RIGHT.drives, acceleration, strict=True)
-    ]
+    rotors = [d.gear_ratio**2 * d.rotor_inertia_kg_m2 * a for d, a in zip(RIGHT.drives, acceleration, strict=True)]
     whole = torque_model(RIGHT, 0.4)(q, speed, acceleration)
-    assert link_torque(RIGHT)(q, speed, acceleration, 0.4) == pytest.approx(
-        np.subtract(whole, rotors), abs=1e-12
-    )
+    assert link_torque(RIGHT)(q, speed, acceleration, 0.4) == pytest.approx(np.subtract(whole, rotors), abs=1e-12)
 
 
 def test_payload_and_link_inertia_are_carried() -> None:
@@ -200,9 +196,7 @@ def test_payload_and_link_inertia_are_carried() -> None:
     by_hand = torque_model(replace(RIGHT, links=tuple(links)), 0.3)
     state = (0.3, -0.6, 0.5), (0.4, -0.2, 0.6), (3.0, -2.0, 5.0)
     assert torque_model(heavier)(*state) == pytest.approx(by_hand(*state), rel=1e-12)
-    assert link_torque(heavier)(*state, 0.0) == pytest.approx(
-        link_torque(replace(RIGHT, links=tuple(links)))(*state, 0.3)
-    )
+    assert link_torque(heavier)(*state, 0.0) == pytest.approx(link_torque(replace(RIGHT, links=tuple(links)))(*state, 0.3))
 
 
 def test_the_range_of_joints_keeps_their_encoders_within_theirs() -> None:

@@ -21,9 +21,7 @@ from control.model.maps import CorrectionMap
 
 RIGHT = load_arm("right")
 STILL = (0.0, 0.0, 0.0)
-ANGLES = CorrectionMap(
-    2, "angle_rad", "angle_rad", (0.0, 0.003, -0.002, 0.001, 0.002), -1.5, 1.5, (0.0005,) * 5
-)
+ANGLES = CorrectionMap(2, "angle_rad", "angle_rad", (0.0, 0.003, -0.002, 0.001, 0.002), -1.5, 1.5, (0.0005,) * 5)
 LOADS = CorrectionMap(3, "angle_rad", "load_Nm", (0.002, 0.0015, 0.0, -0.001, -0.004), -8.0, 8.0)
 TURN = CorrectionMap(1, "torque_Nm", "motor_turn_rad", (0.1, 0.4, -0.2, -0.3))
 SPEED = CorrectionMap(1, "torque_Nm", "speed_rad_s", (-0.8, -0.2, 0.0, 0.2, 0.8), -1.0, 1.0)
@@ -41,11 +39,7 @@ def test_encoders_and_back_are_the_same_joints_with_speeds_and_accelerations() -
         e, turned, bent = chain.encoders(q, speed, acceleration)
         assert chain.joints(e, STILL) == pytest.approx(q, abs=1e-12)
         ahead, behind = (
-            chain.encoders(
-                [a + t * b + 0.5 * t * t * c for a, b, c in zip(q, speed, acceleration, strict=True)],
-                STILL,
-                STILL,
-            )[0]
+            chain.encoders([a + t * b + 0.5 * t * t * c for a, b, c in zip(q, speed, acceleration, strict=True)], STILL, STILL)[0]
             for t in (h, -h)
         )
         assert turned == pytest.approx(np.subtract(ahead, behind) / (2 * h), abs=1e-6)
@@ -109,10 +103,7 @@ def test_a_file_keeps_its_maps_exactly(tmp_path: Path) -> None:
         (replace(ANGLES, values=(0.0, 0.1)), "at least 4 values"),
         (replace(ANGLES, by_direction=(0.1,) * 4), "5 values, as many as in values"),
         (replace(ANGLES, upper=-2.0), "more than lower"),
-        (
-            replace(ANGLES, values=(0.0, 0.09, 0.0, 0.0, 0.0), lower=-0.2, upper=0.2),
-            "change by at most 0.2 rad per rad",
-        ),
+        (replace(ANGLES, values=(0.0, 0.09, 0.0, 0.0, 0.0), lower=-0.2, upper=0.2), "change by at most 0.2 rad per rad"),
         (replace(LOADS, values=(0.0, 0.0, 0.0, pi, 0.0)), "up to 0.1 rad"),
         (replace(TURN, upper=3.0), "one turn of the motor"),
     ],

@@ -25,25 +25,19 @@ ON_VESCS = on_boards(RIGHT, "vesc")
 
 def test_a_vesc_that_would_turn_the_shorter_way_is_refused_when_it_is_connected() -> None:
     arm = with_drives(ON_VESCS, pid=replace(ON_VESCS.drives[0].pid, mode="position"))
-    with (
-        pytest.raises(ConnectionFailed, match="a range below half a turn"),
-        open_cell(scenario(), arm, period_s=0.005),
-    ):
+    with pytest.raises(ConnectionFailed, match="a range below half a turn"), open_cell(scenario(), arm, period_s=0.005):
         pass
 
 
 def test_a_vesc_at_its_joint_and_within_half_a_turn_takes_angles() -> None:
     arm = with_drives(
-        ON_VESCS, pid=replace(ON_VESCS.drives[0].pid, mode="position"), gear_ratio=1.0,
-        joint_lower_rad=-1.2, joint_upper_rad=1.2,
-    )  # fmt: skip
+        ON_VESCS, pid=replace(ON_VESCS.drives[0].pid, mode="position"), gear_ratio=1.0, joint_lower_rad=-1.2, joint_upper_rad=1.2
+    )
     with open_cell(scenario(), arm, period_s=0.005) as cell:
         assert cell.mode is Mode.OFF
 
 
-def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(roboclaw.DELIVERED, RoboclawCommand.READ_PIN_MODES, bytes(5))
     with (
         pytest.raises(ConnectionFailed, match='expected S4 as "Home'),
@@ -70,9 +64,7 @@ def test_a_roboclaw_is_not_told_a_current_beyond_its_peak() -> None:
         pass
 
 
-def test_a_drive_whose_rated_torque_and_current_contradict_the_arm_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_drive_whose_rated_torque_and_current_contradict_the_arm_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rated torque in another unit would make a thousandth, or a thousandfold, of every torque."""
     monkeypatch.setitem(MAKERS, MAXON, replace(MAKERS[MAXON], rated_torque_unit_Nm=1e-3))
     with (
@@ -98,9 +90,7 @@ def test_a_drive_that_trips_before_the_loop_stops_the_arm_is_refused(monkeypatch
         pass
 
 
-@pytest.mark.parametrize(
-    ("code", "said"), [(0, "frees its motor at once"), (2, "quick stop ramp"), (-1, "0x605E = -1")]
-)
+@pytest.mark.parametrize(("code", "said"), [(0, "frees its motor at once"), (2, "quick stop ramp"), (-1, "0x605E = -1")])
 def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil_mocks.bought.Cia402Setup", partial(Cia402Setup, fault_reaction=code))
     with open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
@@ -110,9 +100,7 @@ def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch:
 
 
 @pytest.mark.parametrize("has_current", [True, False])
-def test_a_drive_without_a_rated_torque_has_that_of_its_rated_current(
-    has_current: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_without_a_rated_torque_has_that_of_its_rated_current(has_current: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     power_up = Cia402Mock.power_up
 
     def unset(mock: Cia402Mock, now_s: float | None = None) -> None:
@@ -123,42 +111,27 @@ def test_a_drive_without_a_rated_torque_has_that_of_its_rated_current(
             mock.objects[0x3001, 1] = ("u32", 0)
 
     monkeypatch.setattr(Cia402Mock, "power_up", unset)
-    refused = pytest.raises(
-        ConnectionFailed, match=r"expected a motor rated torque \(0x6076\), or a rated current"
-    )
-    with (
-        nullcontext() if has_current else refused,
-        open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell,
-    ):
+    refused = pytest.raises(ConnectionFailed, match=r"expected a motor rated torque \(0x6076\), or a rated current")
+    with nullcontext() if has_current else refused, open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
-        assert all(
-            "; no rated torque (0x6076): taken for 0.5 N m, by its rated current" in text for text in told
-        )
+        assert all("; no rated torque (0x6076): taken for 0.5 N m, by its rated current" in text for text in told)
 
 
 def test_a_drive_that_does_not_have_the_mode_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil_mocks.bought.Cia402Setup", partial(Cia402Setup, modes=0x0300))
     with (
-        pytest.raises(
-            ConnectionFailed,
-            match=r"expected cyclic synchronous position \(bit 7 of 0x6502\), it has 0x00000300",
-        ),
+        pytest.raises(ConnectionFailed, match=r"expected cyclic synchronous position \(bit 7 of 0x6502\), it has 0x00000300"),
         open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004),
     ):
         pass
 
 
-def test_what_a_drive_says_of_units_and_interpolation_is_told_and_stops_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_a_drive_says_of_units_and_interpolation_is_told_and_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     doubtful = partial(Cia402Setup, modes=0, position_unit=0x0041_0000, has_cycle_time=False)
     monkeypatch.setattr("hil_mocks.bought.Cia402Setup", doubtful)
     with holding_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
-        assert all(
-            text.endswith("; its positions are in units of 0x60A8 = 0x00410000; it has no 0x60C2")
-            for text in told
-        )
+        assert all(text.endswith("; its positions are in units of 0x60A8 = 0x00410000; it has no 0x60C2") for text in told)
         cell.run(0.2)
         assert cell.mode is Mode.HOLDING
 
@@ -209,11 +182,7 @@ def test_a_drive_whose_supply_is_told_no_more_is_silent(joint: int, monkeypatch:
 @pytest.mark.parametrize(
     ("name", "stored", "said"),
     [
-        (
-            "servo.timeout_mode",
-            "12",
-            r"expected servo.timeout_mode 10 \(holds without the host\) or 15 \(brakes\), it is 12",
-        ),
+        ("servo.timeout_mode", "12", r"expected servo.timeout_mode 10 \(holds without the host\) or 15 \(brakes\), it is 12"),
         ("servo.bemf_feedforward", "1.0", r"expected servo.bemf_feedforward 0 \(.*\), it is 1"),
         ("servo.voltage_mode_control", "1", "expected servo.voltage_mode_control 0, it is 1"),
         ("servo.max_current_A", "0.5", "expected servo.max_current_A current_limit_A or more, it is 0.5"),
@@ -226,17 +195,12 @@ def test_what_is_stored_in_a_moteus_is_compared_when_it_is_connected(
 ) -> None:
     as_set_up = MoteusSetup.stored
     monkeypatch.setattr(MoteusSetup, "stored", lambda setup: {**as_set_up(setup), name: stored})
-    with (
-        pytest.raises(ConnectionFailed, match=said),
-        open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004),
-    ):
+    with pytest.raises(ConnectionFailed, match=said), open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004):
         pass
 
 
 def test_a_moteus_whose_console_never_ends_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        MoteusMock, "_says", property(lambda _: b"telemetry ", lambda *_: None), raising=False
-    )
+    monkeypatch.setattr(MoteusMock, "_says", property(lambda _: b"telemetry ", lambda *_: None), raising=False)
     with (
         pytest.raises(ConnectionFailed, match="expected a console that answers, it goes on talking"),
         open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004),
@@ -253,9 +217,7 @@ def test_a_kv_that_is_none_is_not_compared(kv: str, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_moteus_without_a_console_is_taken_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "hil_mocks.bought.MoteusSetup", partial(MoteusSetup, has_console=False, timeout_mode=10)
-    )
+    monkeypatch.setattr("hil_mocks.bought.MoteusSetup", partial(MoteusSetup, has_console=False, timeout_mode=10))
     with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "moteus" in where]
         assert all("its console is silent: look at servo.timeout_mode, " in text for text in told)
@@ -291,9 +253,7 @@ def test_a_vesc_whose_time_out_or_application_is_not_as_needed_is_refused(
 
 def test_a_vesc_turns_to_an_angle_the_shorter_way() -> None:
     mock = VescMock(VescSetup(5, 0.2, 8.0), lambda: 0.9)
-    for moment, (count, sign) in enumerate(
-        ((wire.COUNTS_PER_TURN // 10, 1.0), (wire.COUNTS_PER_TURN // 2, -1.0))
-    ):
+    for moment, (count, sign) in enumerate(((wire.COUNTS_PER_TURN // 10, 1.0), (wire.COUNTS_PER_TURN // 2, -1.0))):
         mock.receive(*wire.position(5, count), now_s=0.001 * moment)
         mock.tick(0.001 * (1 + moment), 0.0, 24.0)
         kind, volts = mock.output

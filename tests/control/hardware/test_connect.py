@@ -89,9 +89,7 @@ def test_all_that_is_wrong_is_said_at_once() -> None:
         assert name in said
 
 
-def test_an_arm_without_a_bus_or_with_too_few_boards_is_refused_before_anything_is_opened(
-    rig: SteppedRig,
-) -> None:
+def test_an_arm_without_a_bus_or_with_too_few_boards_is_refused_before_anything_is_opened(rig: SteppedRig) -> None:
     with pytest.raises(MissingModel, match=r"no \[can\] bus"):
         connect(replace(RIGHT, can=None), rig.clock, PERIOD_S)
     with pytest.raises(MissingModel, match="add an"):
@@ -105,11 +103,7 @@ def test_links_of_the_command_line_replace_those_of_the_file() -> None:
     arm = with_links(RIGHT, options)
     assert [board.port for board in arm.encoder_boards] == ["/dev/ttyUSB7"]
     assert arm.can is not None
-    assert (arm.can.interface, arm.can.channel, dict(arm.can.options)) == (
-        "slcan",
-        "/dev/ttyACM3",
-        {"port": 5},
-    )
+    assert (arm.can.interface, arm.can.channel, dict(arm.can.options)) == ("slcan", "/dev/ttyACM3", {"port": 5})
     assert with_links(RIGHT, LinkOptions()) == RIGHT
 
 

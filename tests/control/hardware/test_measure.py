@@ -67,13 +67,8 @@ def test_a_constant_speed_is_measured_after_a_few_filter_times() -> None:
     assert measured.speed_rad_s[0] == pytest.approx(7 * SCALE_rad / PERIOD_S, rel=1e-6)
 
 
-@given(
-    late=st.lists(st.floats(0.0, 0.1), min_size=20, max_size=60),
-    period_s=st.sampled_from([0.001, 0.004, 0.02]),
-)
-def test_counts_that_may_be_younger_than_they_say_make_no_speed_twice_the_true_one(
-    late: list[float], period_s: float
-) -> None:
+@given(late=st.lists(st.floats(0.0, 0.1), min_size=20, max_size=60), period_s=st.sampled_from([0.001, 0.004, 0.02]))
+def test_counts_that_may_be_younger_than_they_say_make_no_speed_twice_the_true_one(late: list[float], period_s: float) -> None:
     """Each question is asked when the last was answered, and counted at its answer; the true speed is 1 rad/s."""
     measured, at_s, greatest = Measurement([Map()], [32], [1.2]), 1.0, 0.0
     for late_s in late:
@@ -180,17 +175,13 @@ def test_time_that_goes_backwards_or_stands_long_starts_the_speed_anew(jump_s: f
 @settings(deadline=None)
 @given(
     st.lists(
-        st.tuples(
-            st.integers(-(2**31), 2**31 - 1), st.integers(-(2**20), 2**20), st.integers(-(10**7), 10**7)
-        ),
+        st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**20), 2**20), st.integers(-(10**7), 10**7)),
         min_size=1,
         max_size=40,
     ),
     st.sampled_from([16, 24, 32]),
 )
-def test_whatever_a_board_sends_angles_and_speeds_are_finite(
-    reports: list[tuple[int, int, int]], bits: int
-) -> None:
+def test_whatever_a_board_sends_angles_and_speeds_are_finite(reports: list[tuple[int, int, int]], bits: int) -> None:
     measured = measurement(bits=bits)
     for count, shift, time_us in reports:
         measured.update([wrapped(count, bits)], [shift], [1e-6 * time_us])

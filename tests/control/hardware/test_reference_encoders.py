@@ -31,8 +31,7 @@ class Board:
 
 
 @pytest.mark.parametrize(
-    ("stale_s", "silent_s", "is_borne"),
-    [(0.02, 0.045, True), (0.02, 0.06, False), (0.3, 0.29, True), (0.3, 0.31, False)],
+    ("stale_s", "silent_s", "is_borne"), [(0.02, 0.045, True), (0.02, 0.06, False), (0.3, 0.29, True), (0.3, 0.31, False)]
 )
 def test_a_zero_waits_for_its_report_as_long_as_the_arm_bears_a_silent_board(
     stale_s: float, silent_s: float, is_borne: bool

@@ -43,9 +43,7 @@ def moved_rad(cell: Cell, before_rad: tuple[float, ...]) -> float:
     return max(abs(q - p) for q, p in zip(cell.rig.joint_rad(), before_rad, strict=True))
 
 
-def test_a_supply_that_sags_is_a_fault_of_an_arm_that_is_held(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_supply_that_sags_is_a_fault_of_an_arm_that_is_held(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     store(monkeypatch, kind, AT_DELIVERY[kind])
     on = ON_BOARDS[kind]
     with holding_cell(scenario(), on.arm, period_s=on.period_s) as cell:

@@ -63,9 +63,7 @@ def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged
         turn = rotation_of(BASE_turn_rad)
         np.testing.assert_allclose(found.position_m, turn.T @ (np.array(tip) - BASE_m), atol=2e-5)
         (rotation,) = matrices(np.array([found.orientation]))
-        np.testing.assert_allclose(
-            rotation, turn.T @ np.array(axes).T @ rotation_of(TARGET_turn_rad), atol=2e-5
-        )
+        np.testing.assert_allclose(rotation, turn.T @ np.array(axes).T @ rotation_of(TARGET_turn_rad), atol=2e-5)
         status = cell.client.status()
         assert status["camera_m"] is None
         assert "no known place" in status["camera_problem"]

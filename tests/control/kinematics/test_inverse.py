@@ -169,9 +169,7 @@ def test_a_pose_on_its_limit_is_allowed_and_one_beyond_is_not() -> None:
 
 def test_whole_turns_bring_an_angle_into_shifted_limits() -> None:
     drives = tuple(
-        dataclasses.replace(d, joint_lower_rad=d.joint_lower_rad + 2 * math.pi, joint_upper_rad=9.0)
-        if d.joint == 1
-        else d
+        dataclasses.replace(d, joint_lower_rad=d.joint_lower_rad + 2 * math.pi, joint_upper_rad=9.0) if d.joint == 1 else d
         for d in RIGHT.drives
     )
     inverse = InverseKinematics(dataclasses.replace(RIGHT, drives=drives, rest=None))
@@ -179,9 +177,7 @@ def test_whole_turns_bring_an_angle_into_shifted_limits() -> None:
     assert q[0] == pytest.approx(2 * math.pi, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    "bad", [(0.5, 0.0, math.nan), (math.inf, 0.0, 0.0), (0.5, 0.0), (0.5, 0.0, 0.0, 0.0)]
-)
+@pytest.mark.parametrize("bad", [(0.5, 0.0, math.nan), (math.inf, 0.0, 0.0), (0.5, 0.0), (0.5, 0.0, 0.0, 0.0)])
 def test_a_target_that_is_none_is_rejected(bad: tuple[float, ...]) -> None:
     inverse = InverseKinematics(RIGHT)
     for function in (lambda: inverse.branches(bad), lambda: inverse.solve(bad, FRONT_UP)):
@@ -339,9 +335,7 @@ def test_turns_are_whole_and_toward_the_wanted_side() -> None:
     assert joints.toward((2.5, 0.0, 0.0), (2.5 - 2 * math.pi, 0.0, 0.0)) == (2.5, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    "name", ["so101", "widowx250"]
-)  # 5 and 6 joints; a position leaves 2 and 3 of them free
+@pytest.mark.parametrize("name", ["so101", "widowx250"])  # 5 and 6 joints; a position leaves 2 and 3 of them free
 def test_with_joints_to_spare_the_pose_is_near_the_one_before(name: str) -> None:
     arm, source = load_arm(name), np.random.default_rng(1)
     inverse, (lower, upper) = InverseKinematics(arm), np.array(arm.limits_rad).T

@@ -82,9 +82,7 @@ def test_the_reference_arm_matches_the_closed_form() -> None:
         reach = 0.3543 * math.cos(q2 + q3) - 0.4 * math.sin(q2)
         height = 0.076 + 0.4 * math.cos(q2) + 0.3543 * math.sin(q2 + q3)
         c, s = math.cos(q1), math.sin(q1)
-        assert tip(q1, q2, q3) == pytest.approx(
-            (c * reach - 0.012 * s, s * reach + 0.012 * c, height), abs=ROUNDING_M
-        )
+        assert tip(q1, q2, q3) == pytest.approx((c * reach - 0.012 * s, s * reach + 0.012 * c, height), abs=ROUNDING_M)
 
 
 @pytest.mark.parametrize("k", ALL)
@@ -94,9 +92,7 @@ def test_every_way_to_the_tip_agrees_with_the_4x4_chain(k: ForwardKinematics) ->
     expected = expected_frames[:, -1] @ np.array([*k.tool_m, 1.0])
     assert k.link_transforms(q) == pytest.approx(expected_frames, abs=ROUNDING_M)
     assert k.tips(q) == pytest.approx(expected[:, :3], abs=ROUNDING_M)
-    assert chain.tips(k.dh, q, k.joints, k.convention, k.tool_m) == pytest.approx(
-        expected[:, :3], abs=ROUNDING_M
-    )
+    assert chain.tips(k.dh, q, k.joints, k.convention, k.tool_m) == pytest.approx(expected[:, :3], abs=ROUNDING_M)
     assert k.tips_and_dh_jacobian(q)[0] == pytest.approx(expected[:, :3], abs=ROUNDING_M)
     assert np.array([k.tip(*pose) for pose in q.tolist()]) == pytest.approx(expected[:, :3], abs=ROUNDING_M)
 
@@ -125,9 +121,7 @@ def test_the_identification_jacobian_is_the_slope_by_every_dh_parameter(k: Forwa
         step = np.zeros(k.dh.size)
         step[parameter] = h
         step = step.reshape(k.dh.shape)
-        ahead, behind = (
-            chain.tips(k.dh + sign * step, q, k.joints, k.convention, k.tool_m) for sign in (1, -1)
-        )
+        ahead, behind = (chain.tips(k.dh + sign * step, q, k.joints, k.convention, k.tool_m) for sign in (1, -1))
         assert jacobian[:, :, parameter] == pytest.approx((ahead - behind) / (2 * h), abs=1e-8)
 
 
@@ -145,15 +139,11 @@ def test_numbers_of_a_calibrated_arm_reach_the_compiled_function_unchanged() -> 
     arm = load_arm("right")
     dh = arm.dh + np.random.default_rng(8).normal(0, 1e-12, (4, 4))
     q = _poses(ForwardKinematics(arm))
-    expected = np.array(
-        [_textbook_frames(ForwardKinematics(dh, joints=arm.joints), pose)[-1][:3, 3] for pose in q]
-    )
+    expected = np.array([_textbook_frames(ForwardKinematics(dh, joints=arm.joints), pose)[-1][:3, 3] for pose in q])
     assert ForwardKinematics(arm.with_dh(dh)).tips(q) == pytest.approx(expected, abs=3e-16, rel=3e-15)
 
 
-@pytest.mark.parametrize(
-    "bad", [np.zeros(3), np.zeros((2, 2)), [[0.0, math.nan, 0.0]], [[0.0, 0.0, math.inf]]]
-)
+@pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((2, 2)), [[0.0, math.nan, 0.0]], [[0.0, 0.0, math.inf]]])
 def test_poses_that_are_none_are_rejected(bad: object) -> None:
     k = ForwardKinematics(load_arm("right"))
     for function in (k.tips, k.jacobians, k.identification_jacobian, k.link_transforms):

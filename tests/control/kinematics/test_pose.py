@@ -9,17 +9,7 @@ import pytest
 from control.errors import BadTarget, NearSingular, OutOfReach
 from control.kinematics import rotation
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
-from control.kinematics.pose_inverse import (
-    ACCURACY,
-    PoseInverse,
-    Targets,
-    TipPose,
-    errors,
-    joint_rates,
-    margins,
-    solve,
-    task_of,
-)
+from control.kinematics.pose_inverse import ACCURACY, PoseInverse, Targets, TipPose, errors, joint_rates, margins, solve, task_of
 from control.model.arm import Arm, Convention, Link
 from tests.control.dynamics.mujoco_arm import model_of
 
@@ -44,9 +34,7 @@ def poses(joints: int, count: int = 60) -> np.ndarray:
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("joints", JOINTS)
-def test_the_pose_is_that_of_the_chain_and_its_jacobian_that_of_small_differences(
-    joints: int, convention: Convention
-) -> None:
+def test_the_pose_is_that_of_the_chain_and_its_jacobian_that_of_small_differences(joints: int, convention: Convention) -> None:
     arm, q = random_arm(joints, convention), poses(joints)
     found, h = arm.batch(q), 1e-6
     frames = arm.kinematics.link_transforms(q)[:, -1]
@@ -63,13 +51,10 @@ def test_the_pose_is_that_of_the_chain_and_its_jacobian_that_of_small_difference
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("joints", JOINTS)
-def test_mujoco_sees_the_tip_at_the_same_place_and_turned_the_same_way(
-    joints: int, convention: Convention
-) -> None:
+def test_mujoco_sees_the_tip_at_the_same_place_and_turned_the_same_way(joints: int, convention: Convention) -> None:
     dh = random_dh(joints, 1)
     links = tuple(
-        Link("revolute", *row, mass_kg=1.0, com_m=(0.0, 0.0, 0.0), inertia_kg_m2=(0.1, 0.1, 0.1))
-        for row in dh.tolist()
+        Link("revolute", *row, mass_kg=1.0, com_m=(0.0, 0.0, 0.0), inertia_kg_m2=(0.1, 0.1, 0.1)) for row in dh.tolist()
     )
     arm = Arm("random", links, dh_convention=convention)
     ours = PoseKinematics(ForwardKinematics(arm))
@@ -98,9 +83,7 @@ def test_rotations_come_back_from_vectors_and_quaternions_up_to_half_a_turn() ->
     h, rates = 1e-6, rng.normal(size=(500, 3))
     after, before = rotation.exponentials(vectors + h * rates), rotation.exponentials(vectors - h * rates)
     omega = rotation.logarithms(after @ np.swapaxes(before, 1, 2)) / (2 * h)
-    np.testing.assert_allclose(
-        (rotation.left_jacobians(vectors) @ rates[:, :, None])[:, :, 0], omega, atol=1e-7
-    )
+    np.testing.assert_allclose((rotation.left_jacobians(vectors) @ rates[:, :, None])[:, :, 0], omega, atol=1e-7)
 
 
 @pytest.mark.parametrize("values", [(1, 0, 0), (0, 0, 0, 0), (1, 1, 0, 0), (float("nan"), 0, 0, 1)])
@@ -112,9 +95,7 @@ def test_only_a_unit_quaternion_is_an_orientation(values: tuple[float, ...]) -> 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("joints", JOINTS)
 @pytest.mark.parametrize("has_orientation", [False, True])
-def test_poses_are_found_again_from_nearby_seeds(
-    joints: int, convention: Convention, has_orientation: bool
-) -> None:
+def test_poses_are_found_again_from_nearby_seeds(joints: int, convention: Convention, has_orientation: bool) -> None:
     arm = random_arm(joints, convention)
     task, q = task_of(arm, has_orientation), poses(joints, 300)
     there = arm.batch(q)
@@ -156,13 +137,9 @@ def test_rates_move_the_tip_as_wanted_and_the_rest_as_the_posture_does() -> None
 
 @pytest.mark.parametrize(
     ("joints", "has_orientation", "exact", "nearest"),
-    [
-        (2, False, 0, 3), (3, False, 3, 0), (4, False, 3, 0), (5, True, 3, 3), (6, True, 6, 0), (7, True, 6, 0),
-    ],
-)  # fmt: skip
-def test_an_arm_holds_exactly_what_its_joints_can(
-    joints: int, has_orientation: bool, exact: int, nearest: int
-) -> None:
+    [(2, False, 0, 3), (3, False, 3, 0), (4, False, 3, 0), (5, True, 3, 3), (6, True, 6, 0), (7, True, 6, 0)],
+)
+def test_an_arm_holds_exactly_what_its_joints_can(joints: int, has_orientation: bool, exact: int, nearest: int) -> None:
     task = task_of(random_arm(joints, "standard"), has_orientation)
     assert (len(task.exact), len(task.nearest)) == (exact, nearest)
 
@@ -178,11 +155,8 @@ def test_a_flat_arm_of_three_joints_holds_its_position_only_as_nearly_as_its_pla
 def six(seed: int = 0) -> Arm:
     """A six-joint arm with a wrist, every parameter a little off."""
     dh = np.array(
-        [
-            [0.15, 0, 0, PI / 2], [0, 0, 0.35, 0], [0, 0, 0.05, PI / 2],
-            [0.3, 0, 0, -PI / 2], [0, 0, 0, PI / 2], [0.08, 0, 0, 0],
-        ]
-    )  # fmt: skip
+        [[0.15, 0, 0, PI / 2], [0, 0, 0.35, 0], [0, 0, 0.05, PI / 2], [0.3, 0, 0, -PI / 2], [0, 0, 0, PI / 2], [0.08, 0, 0, 0]]
+    )
     dh = dh + np.random.default_rng(seed).uniform(-1, 1, dh.shape) * [2e-3, 0.02, 2e-3, 0.02]
     return Arm("six", tuple(Link("revolute", *row) for row in dh.tolist()))
 
@@ -208,6 +182,4 @@ def test_what_is_out_of_reach_or_singular_or_cannot_be_turned_is_said() -> None:
     wrist = TipPose.of(straight.position_m[0], rotation.quaternions(straight.rotation)[0])
     narrow = dataclasses.replace(six(), links=six().links[:5])
     with pytest.raises((NearSingular, OutOfReach)):
-        PoseInverse(narrow).nearest(
-            dataclasses.replace(wrist, position_m=(0.2, 0.2, 0.3)), (0.2, 0.5, -1.0, 0.0, 0.0)
-        )
+        PoseInverse(narrow).nearest(dataclasses.replace(wrist, position_m=(0.2, 0.2, 0.3)), (0.2, 0.5, -1.0, 0.0, 0.0))

@@ -40,9 +40,7 @@ def test_a_joint_that_reads_a_turn_too_much_is_neither_enabled_nor_homed(kind: s
         before_rad = cell.rig.joint_rad()
         cell.run(0.1)
         said = refusals(cell)
-        assert re.match(
-            r"joint 1 reads 6.38\d rad, 3.78\d rad outside its limits \(-2.600 to 2.600 rad\)", said[0]
-        )
+        assert re.match(r"joint 1 reads 6.38\d rad, 3.78\d rad outside its limits \(-2.600 to 2.600 rad\)", said[0])
         assert all("its encoder may be a turn off (6.283 rad)" in one for one in said[:3])
         cell.run(0.5)
         assert (cell.mode, cell.runtime.monitor.is_homed) == (Mode.OFF, False)
@@ -69,24 +67,9 @@ def test_an_encoder_behind_a_gear_is_a_turn_off_by_a_part_of_the_joints_turn() -
 @pytest.mark.parametrize(
     ("kind", "at", "limits", "said"),
     [
-        (
-            "feetech",
-            9,
-            struct.pack("<HH", 1500, 2600),
-            r"353 to 3743, within the position limits .* got 1500 to 2600",
-        ),
-        (
-            "dynamixel",
-            48,
-            struct.pack("<ii", 2600, 1500),
-            r"353 to 3743, within the position limits .* -0.841 to 0.847",
-        ),
-        (
-            "dynamixel",
-            20,
-            struct.pack("<i", 700),
-            r"353 to 3743, within the turn that it knows .* got 700 to 4795",
-        ),
+        ("feetech", 9, struct.pack("<HH", 1500, 2600), r"353 to 3743, within the position limits .* got 1500 to 2600"),
+        ("dynamixel", 48, struct.pack("<ii", 2600, 1500), r"353 to 3743, within the position limits .* -0.841 to 0.847"),
+        ("dynamixel", 20, struct.pack("<i", 700), r"353 to 3743, within the turn that it knows .* got 700 to 4795"),
     ],
 )
 def test_what_is_stored_in_a_servo_is_compared_with_the_range_when_it_is_connected(

@@ -41,9 +41,7 @@ def test_at_rest_a_lying_encoder_is_found_before_the_arm_has_moved(
 
 @pytest.mark.parametrize("kind", ["stuck_encoder", "backwards_encoder"])
 @pytest.mark.parametrize("channel", [0, 2])
-def test_a_moving_joint_whose_counts_do_not_follow_is_found_at_once(
-    moving: Cell, kind: str, channel: int
-) -> None:
+def test_a_moving_joint_whose_counts_do_not_follow_is_found_at_once(moving: Cell, kind: str, channel: int) -> None:
     before = moving.rig.joint_rad()[channel]
     moving.inject(kind, "encoder", channel=channel)
     moving.until_fault(0.05)
@@ -118,10 +116,7 @@ def test_a_gear_of_half_the_ratio_under_weight_is_found_by_its_torque() -> None:
 def test_an_index_is_compared_modulo_a_turn_and_with_the_first_where_arm_toml_has_none() -> None:
     watch = IndexWatch([2048, 1000], [100, None], lambda joint, count: count, ("joint 1", "joint 2"))
     assert watch.look([(0, 100 + 7 * 2048), (0, 100 - 2048 + 40), (1, 777), (1, 777 - 3000)]) == []
-    assert [fault.where for fault in watch.look([(0, 100 + 2048 + 42), (1, 777 + 21)])] == [
-        "joint 1",
-        "joint 2",
-    ]
+    assert [fault.where for fault in watch.look([(0, 100 + 2048 + 42), (1, 777 + 21)])] == ["joint 1", "joint 2"]
     watch.forget()
     assert watch.look([(1, 5)]) == []
 
@@ -130,9 +125,13 @@ def test_an_index_is_compared_modulo_a_turn_and_with_the_first_where_arm_toml_ha
 def test_a_switch_must_agree_with_the_side_beyond_its_tolerance(sense: float) -> None:
     place = SwitchPlace("joint 1", 0.2, sense, 0.03)
     for beyond_rad, is_active, is_well in [
-        (0.5, True, True), (0.5, False, False), (-0.5, False, True), (-0.5, True, False), (0.02, False, True),
+        (0.5, True, True),
+        (0.5, False, False),
+        (-0.5, False, True),
+        (-0.5, True, False),
+        (0.02, False, True),
         (-0.02, True, True),
-    ]:  # fmt: skip
+    ]:
         watch = SwitchWatch([place])
         flags = [0x04 if is_active else 0]
         found = [watch.look(0.002, [0.2 + sense * beyond_rad], flags) for _ in range(20)]
@@ -169,9 +168,7 @@ def test_two_counts_of_one_motor_may_differ_by_when_they_were_read(bits: int) ->
     assert watch.look([(0, count + 9_999, 0)], [0.0]) == []
 
 
-def test_counts_that_drift_too_slowly_for_the_motors_voltage_are_found_by_the_motor_boards(
-    cell: Cell,
-) -> None:
+def test_counts_that_drift_too_slowly_for_the_motors_voltage_are_found_by_the_motor_boards(cell: Cell) -> None:
     cell.inject("drifting_encoder", "encoder", channel=0, value=300.0)  # 9 mrad a second
     cell.until_fault(0.5)
     assert cell.faults == [("encoders_differ", "joint 1")]

@@ -11,13 +11,9 @@ COUNTS = {"dynamixel": 45, "feetech": 45, "roboclaw": 36, "cell": 9}
 USUAL_COUNT = 18
 
 
-@pytest.mark.parametrize(
-    "share", [pytest.param(1.0 / 3.0, id="third"), pytest.param(1.0, id="all", marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize("share", [pytest.param(1.0 / 3.0, id="third"), pytest.param(1.0, id="all", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_torque_in_off_no_motion_unasked_nothing_beyond_a_limit_and_no_answer_untrue(
-    kind: str, share: float
-) -> None:
+def test_no_torque_in_off_no_motion_unasked_nothing_beyond_a_limit_and_no_answer_untrue(kind: str, share: float) -> None:
     count = round(share * COUNTS.get(kind, USUAL_COUNT))
     broken = {number: what for number, _, what in played(kind, seed=7, count=count) if what}
     assert broken == {}

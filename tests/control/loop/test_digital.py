@@ -103,14 +103,8 @@ def test_levels_of_a_silent_board_are_unknown(cell: Cell) -> None:
 
 
 def test_boards_that_lack_pins_are_refused_before_anything_moves() -> None:
-    for pins, what in (
-        (0, "has no digital pins"),
-        (4, "has 4 digital pins, 0 to 3, but arm.toml names pin 7"),
-    ):
+    for pins, what in ((0, "has no digital pins"), (4, "has 4 digital pins, 0 to 3, but arm.toml names pin 7")):
         real = scenario()
         older = msgspec.structs.replace(real.motor_board, digital_pins=pins)
-        with (
-            pytest.raises(ConnectionFailed, match=what),
-            open_cell(msgspec.structs.replace(real, motor_board=older), ARM),
-        ):
+        with pytest.raises(ConnectionFailed, match=what), open_cell(msgspec.structs.replace(real, motor_board=older), ARM):
             pass

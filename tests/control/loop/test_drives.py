@@ -69,8 +69,9 @@ def test_a_drive_that_is_not_enabled_within_a_second_is_a_fault() -> None:
     assert drives.follow(9.0, late) == []
     faults = drives.follow(9.0 + 2**-40, late)
     assert [(fault.code, fault.where, fault.reaction) for fault in faults] == [
-        ("drive_not_enabled", "joint 1", Reaction.HOLD), ("drive_not_enabled", "joint 3", Reaction.HOLD),
-    ]  # fmt: skip
+        ("drive_not_enabled", "joint 1", Reaction.HOLD),
+        ("drive_not_enabled", "joint 3", Reaction.HOLD),
+    ]
     assert "within 1.0 s (statusword 0x08)" in faults[1].message
     drives.want(9.1, Wanted.ENABLED)  # as in FAULT
     assert drives.follow(99.0, late) == []

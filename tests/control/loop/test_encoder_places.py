@@ -34,9 +34,7 @@ TRANSMISSION = (
     Effect("joint_compliance", 2, {"stiffness_Nm_rad": STIFFNESS_Nm_rad}),
     Effect("belt_coupling", None, {"ratio": BELT}),
 )
-FRICTION = tuple(
-    Effect("coulomb_friction", j, {"torque_Nm": t}) for j, t in ((1, 0.15), (2, 0.3), (3, 0.15), (4, 0.03))
-)
+FRICTION = tuple(Effect("coulomb_friction", j, {"torque_Nm": t}) for j, t in ((1, 0.15), (2, 0.3), (3, 0.15), (4, 0.03)))
 HIDDEN = tuple(EffectTable(e.effect, e.joint or 0, dict(e.parameters)) for e in (*TRANSMISSION, *FRICTION))
 PLACES = (0.4, 0.5, 0.6, -0.3), (-0.3, -0.6, 0.4, 0.5), (0.2, 0.3, -0.5, 0.2)
 
@@ -83,18 +81,9 @@ def test_a_joint_with_its_own_encoder_rests_where_it_is_sent_whatever_is_in_its_
         assert error_rad < PLAY_rad / 6 if side == "joint" else error_rad > PLAY_rad
 
 
-HARDLY_RUBS = tuple(
-    EffectTable(e.effect, e.joint or 0, {"torque_Nm": 0.1 * e.parameters["torque_Nm"]}) for e in FRICTION
-)
+HARDLY_RUBS = tuple(EffectTable(e.effect, e.joint or 0, {"torque_Nm": 0.1 * e.parameters["torque_Nm"]}) for e in FRICTION)
 # Joint, its play in rad, whether there is an encoder on its motor, too.
-WITH_PLAY = (
-    (2, 0.006, False),
-    (3, 0.015, True),
-    (4, 0.015, False),
-    (1, 0.015, True),
-    (2, 0.015, False),
-    (1, 0.002, False),
-)
+WITH_PLAY = ((2, 0.006, False), (3, 0.015, True), (4, 0.015, False), (1, 0.015, True), (2, 0.015, False), (1, 0.002, False))
 
 
 @pytest.mark.parametrize("case", third_of(WITH_PLAY))
@@ -140,9 +129,7 @@ def test_what_the_file_says_of_gear_and_belt_is_added_to_encoders_on_motors_alon
     known = replace(arm_of_four(side), effects=(*TRANSMISSION, *FRICTION))
     q_rad = np.array([[0.1, 0.4, 0.2, 0.3]])
     unknown = np.full((1, 4), np.nan)
-    points = Points(
-        ("a",), ("1",), (1,), q_rad, unknown[:, :3], np.ones((1, 4)), unknown, unknown[0, :1], np.zeros(1)
-    )
+    points = Points(("a",), ("1",), (1,), q_rad, unknown[:, :3], np.ones((1, 4)), unknown, unknown[0, :1], np.zeros(1))
     shifts_rad = known_corrections(known, points)
     if side == "joint":
         assert JointSide.of(known) is None
@@ -206,9 +193,7 @@ def test_an_encoder_that_slips_by_more_than_play_and_springs_is_found_by_the_oth
 
 
 def in_position_mode(arm: Arm) -> Arm:
-    return replace(
-        arm, drives=tuple(replace(drive, pid=replace(drive.pid, mode="position")) for drive in arm.drives)
-    )
+    return replace(arm, drives=tuple(replace(drive, pid=replace(drive.pid, mode="position")) for drive in arm.drives))
 
 
 def test_a_motor_board_closes_its_position_loop_on_the_encoder_of_the_motor() -> None:

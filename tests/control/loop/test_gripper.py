@@ -152,9 +152,7 @@ def test_after_a_fault_of_the_arm_it_does_what_the_file_says(reaction: Any) -> N
         cell.run(1.0)
         held_N = cell.rig.gripper()[1]
         assert state(cell)["state"] == ("GRIPPED" if reaction == "hold" else "RELEASED")
-        assert (
-            held_N == pytest.approx(40.0, abs=3.0) if reaction == "hold" else held_N < 1.5
-        )  # friction holds 1 N
+        assert held_N == pytest.approx(40.0, abs=3.0) if reaction == "hold" else held_N < 1.5  # friction holds 1 N
         cell.rig.clear_faults()
         cell.client.acknowledge()
         cell.run(0.5)
@@ -203,12 +201,9 @@ def test_a_gripper_that_holds_after_a_time_out_lets_go_with_the_arm() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "code"),
-    [("silent", "gripper_silent"), ("over_current", "gripper_drive"), ("board_reset", "gripper_link")],
+    ("kind", "code"), [("silent", "gripper_silent"), ("over_current", "gripper_drive"), ("board_reset", "gripper_link")]
 )
-def test_a_board_that_fails_stops_the_arm_under_control_and_works_again_after(
-    cell: Cell, kind: str, code: str
-) -> None:
+def test_a_board_that_fails_stops_the_arm_under_control_and_works_again_after(cell: Cell, kind: str, code: str) -> None:
     cell.client.grip("open")
     cell.start_move((0.6, -0.6, 0.2), 0.3)
     cell.run(0.3)

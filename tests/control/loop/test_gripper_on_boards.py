@@ -24,9 +24,17 @@ CLAWS = on_boards(RIGHT, "roboclaw")
 VESCS = on_boards(RIGHT, "vesc")
 VESCS = replace(VESCS, boards=(*VESCS.boards, Board("hand", "vesc", 9)))
 ON_SERVO = replace(
-    GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=4096, travel_per_turn_m=0.2, torque_constant_Nm_A=1.0,
-    resistance_ohm=4.0, supply_V=12.0, current_limit_A=1.5, rotor_inertia_kg_m2=1e-3,
-)  # fmt: skip
+    GRIPPER,
+    motor_node=-1,
+    board="hand",
+    encoder_counts_per_rev=4096,
+    travel_per_turn_m=0.2,
+    torque_constant_Nm_A=1.0,
+    resistance_ohm=4.0,
+    supply_V=12.0,
+    current_limit_A=1.5,
+    rotor_inertia_kg_m2=1e-3,
+)
 
 
 def on_servos(kind: str) -> Arm:
@@ -53,9 +61,7 @@ ARMS = {
 
 
 def holding(arm: Arm) -> AbstractContextManager[Cell]:
-    return holding_cell(
-        scenario(None, gripper=GripperTable(start=0.9)), arm, period_s=1.0 / arm.usual_rate_Hz
-    )
+    return holding_cell(scenario(None, gripper=GripperTable(start=0.9)), arm, period_s=1.0 / arm.usual_rate_Hz)
 
 
 def state(cell: Cell) -> str:
@@ -118,9 +124,7 @@ def test_the_emergency_stop_takes_the_gripper_along_until_it_is_acknowledged() -
         ({"on_fault": "release"}, r"cannot open"),
     ],
 )
-def test_what_a_board_cannot_do_for_it_is_said_when_the_file_is_read(
-    change: dict[str, Any], says: str
-) -> None:
+def test_what_a_board_cannot_do_for_it_is_said_when_the_file_is_read(change: dict[str, Any], says: str) -> None:
     with pytest.raises(Rejected, match=says):
         check_arm(replace(CLAWS, gripper=replace(ON_CLAW, **change)))
 

@@ -143,10 +143,7 @@ def test_acknowledge_lets_nothing_go(kind: str) -> None:
     """Boards that hold after the time-out of their host let go when they are reset."""
     with held_on(kind) as held:
         before_rad = held.rig.joint_rad()
-        assert any(
-            "`armwright enable` takes it over" in one
-            for one in held.channel.request({"do": "status"})["warnings"]
-        )
+        assert any("`armwright enable` takes it over" in one for one in held.channel.request({"do": "status"})["warnings"])
         assert "`armwright enable` takes it over" in held.refusal(do="acknowledge")
         held.runtime.fail(JUMP)
         held.run(0.1)

@@ -69,10 +69,7 @@ class Joint:
         turns = [math.floor((q - self.index_rad) / TURN_rad) for q in (before, self.q_rad)]
         if self.is_armed and self.has_index and turns[0] != turns[1]:
             at_rad = self.index_rad + max(turns) * TURN_rad
-            self.latched, self.is_armed = (
-                round((at_rad - self.zero_rad) * COUNTS_PER_RAD) + sum(self.shifts),
-                False,
-            )
+            self.latched, self.is_armed = (round((at_rad - self.zero_rad) * COUNTS_PER_RAD) + sum(self.shifts), False)
 
     # what homing asks of the hardware
 
@@ -95,10 +92,7 @@ def home(joint: Joint, how: JointHome = HOME, limit_s: float = 60.0) -> list[Pha
         feedback.count[0] = joint.count() + cycle % 2 * joint.hunts_counts
         feedback.channel_flags[0] = HOME_SWITCH if joint.is_active() else 0
         following = sequence.step(set_point, feedback, PERIOD_S)
-        assert (
-            abs(following.speed_rad_s[0] - set_point.speed_rad_s[0])
-            <= how.acceleration_rad_s2 * PERIOD_S + 1e-12
-        )
+        assert abs(following.speed_rad_s[0] - set_point.speed_rad_s[0]) <= how.acceleration_rad_s2 * PERIOD_S + 1e-12
         assert abs(following.speed_rad_s[0]) <= how.speed_rad_s + 1e-12
         joint.go(following.q_rad[0] - set_point.q_rad[0])
         set_point = following
@@ -131,9 +125,7 @@ def test_a_switch_that_lies_from_any_moment_on_gives_no_wrong_zero(cycles: int) 
 
 @pytest.mark.parametrize("start_rad", [-1.5, -0.3, 0.1999, 0.2001, 0.22, 0.5, 1.9])
 @pytest.mark.parametrize("zero_rad", [0.0, 3.7, -11.1])
-def test_wherever_the_joint_stands_and_the_counter_starts_its_zero_is_found(
-    start_rad: float, zero_rad: float
-) -> None:
+def test_wherever_the_joint_stands_and_the_counter_starts_its_zero_is_found(start_rad: float, zero_rad: float) -> None:
     joint = Joint(start_rad, zero_rad)
     phases = home(joint)
     assert [p for p in phases if p is not Phase.RELEASE] == [
@@ -163,8 +155,7 @@ def test_a_switch_that_is_active_at_the_start_is_left_first_and_taken_from_the_s
 
 
 @pytest.mark.parametrize(
-    ("stuck", "said"),
-    [(True, "its home switch stays active"), (False, "its home switch never became active")],
+    ("stuck", "said"), [(True, "its home switch stays active"), (False, "its home switch never became active")]
 )
 def test_a_stuck_switch_ends_the_search_after_the_joints_travel(stuck: bool, said: str) -> None:
     joint = Joint(0.0, stuck=stuck)
@@ -251,9 +242,7 @@ NEAR_HOME = (-0.1, 0.0, 0.6)  # just below the switches: a short search
 
 def homing_error_rad(start: tuple[float, ...], arm: object = RIGHT, index_error_rad: float = 0.0) -> float:
     """Largest difference between measured and true angle after homing on the rig, with the friction that a gear has."""
-    hidden = scenario(
-        start, homed=False, encoder_board=EncoderBoardTable(index_error_rad=index_error_rad), effect=FRICTION
-    )
+    hidden = scenario(start, homed=False, encoder_board=EncoderBoardTable(index_error_rad=index_error_rad), effect=FRICTION)
     with holding_cell(hidden, arm) as cell:  # type: ignore[arg-type]
         speeds = cell.true_speeds()
         cell.client.home()
@@ -261,10 +250,7 @@ def homing_error_rad(start: tuple[float, ...], arm: object = RIGHT, index_error_
         assert cell.client.status()["is_homed"]
         assert max(speeds) < 0.6
         # Encoders are on the motors, so a joint that moves would differ by what the report is old.
-        return max(
-            abs(q - p)
-            for q, p in zip(cell.runtime.parts.measurement.q_rad, cell.rig.joint_rad(), strict=True)
-        )
+        return max(abs(q - p) for q, p in zip(cell.runtime.parts.measurement.q_rad, cell.rig.joint_rad(), strict=True))
 
 
 @pytest.mark.parametrize("start", [NEAR_HOME, (0.05, 0.14, 0.75)])

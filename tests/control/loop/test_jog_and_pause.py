@@ -15,9 +15,7 @@ from tests.cell import PERIOD_S, RIGHT, STRETCHED, Cell, handled, holding_cell, 
 
 SILENCE_S = RIGHT.limits.jog_silence_s
 FAR = (1.2, -0.2, 0.9)
-CIRCLE = [
-    (0.5 + 0.09 * math.cos(a), 0.09 * math.sin(a), 0.1) for a in (2.0 * math.pi * i / 8 for i in range(9))
-]
+CIRCLE = [(0.5 + 0.09 * math.cos(a), 0.09 * math.sin(a), 0.1) for a in (2.0 * math.pi * i / 8 for i in range(9))]
 
 
 @pytest.fixture
@@ -102,13 +100,7 @@ def test_a_jog_belongs_to_one_client_and_everybody_may_stop_it(cell: Cell) -> No
 
 @pytest.mark.parametrize(
     ("do", "keys"),
-    [
-        ("move_joints", {"q_rad": list(STRETCHED)}),
-        ("home", {"again": True}),
-        ("guide", {}),
-        ("pause", {}),
-        ("resume", {}),
-    ],
+    [("move_joints", {"q_rad": list(STRETCHED)}), ("home", {"again": True}), ("guide", {}), ("pause", {}), ("resume", {})],
 )
 def test_while_the_arm_is_jogged_nothing_else_begins(cell: Cell, do: str, keys: dict[str, Any]) -> None:
     jog(cell, 0.2, joint_speed_rad_s=[0.2, 0.0, 0.0])
@@ -329,8 +321,6 @@ def test_a_stop_of_a_motion_ends_on_its_path(delay_s: float) -> None:
         cell.until(lambda: cell.mode is Mode.HOLDING, 0.45)
         at = cell.runtime.set_point.q_rad
         share = [(q - a) / (b - a) for q, a, b in zip(at, start, goal, strict=True)]
-        assert share == pytest.approx(
-            [share[0]] * 3, abs=1e-6
-        )  # a joint move is a straight line of the joints
+        assert share == pytest.approx([share[0]] * 3, abs=1e-6)  # a joint move is a straight line of the joints
         assert 0.0 < share[0] < 1.0
         assert cell.runtime.was_stopped

@@ -35,9 +35,7 @@ INVERSE, KINEMATICS = InverseKinematics(RIGHT), ForwardKinematics(RIGHT)
 
 
 @contextmanager
-def an_arm(
-    hidden: Sequence[Effect], known: Sequence[Effect], limits: Limits = RIGHT.limits, **keys: object
-) -> Iterator[Cell]:
+def an_arm(hidden: Sequence[Effect], known: Sequence[Effect], limits: Limits = RIGHT.limits, **keys: object) -> Iterator[Cell]:
     """A mock arm that hides friction and more, and a loop that knows friction and so much of it."""
     tables = tuple(EffectTable(e.effect, e.joint or 0, dict(e.parameters)) for e in (*FRICTION, *hidden))
     arm = replace(RIGHT, effects=(*FRICTION, *known), limits=limits)
@@ -167,9 +165,7 @@ def test_a_payload_that_is_told_changes_what_springs_give_without_a_step() -> No
         cell.client.ask("payload", mass_kg=0.5)
         cell.run(0.6)
         assert aims[-1][1] != pytest.approx(aims[0][1], abs=3e-4)
-        assert (
-            np.abs(np.diff(aims, n=2, axis=0)).max() <= 5.0 * 0.002**2 * 1.001
-        )  # half the acceleration limit
+        assert np.abs(np.diff(aims, n=2, axis=0)).max() <= 5.0 * 0.002**2 * 1.001  # half the acceleration limit
         assert math.dist(cell.rig.tip_m(), KINEMATICS.tip(*NEAR)) < 3.5e-4
 
 
@@ -193,9 +189,7 @@ def test_homing_again_and_a_stop_by_hand_leave_the_arm_where_it_is() -> None:
 
 def test_an_arm_that_is_held_back_stops_from_where_its_encoders_are() -> None:
     hidden = (*GEARS, *RIGID)
-    limits = replace(
-        RIGHT.limits, unexplained_torque=1.0
-    )  # else the torque that weight does not explain stops it first
+    limits = replace(RIGHT.limits, unexplained_torque=1.0)  # else the torque that weight does not explain stops it first
     with an_arm(hidden, hidden, limits) as cell:
         cell.rig.robot.plant.push(0, -30.0)  # N m, more than its motor has
         with pytest.raises(ArmFaulted, match=r"following error|do not explain"):
@@ -243,9 +237,7 @@ def tracking_rad(hidden: tuple[Effect, ...], known: tuple[Effect, ...]) -> tuple
         return tuple(np.sqrt(np.mean(np.square(errors), axis=0)).tolist())
 
 
-@pytest.mark.parametrize(
-    "effects", third_of(AT_1_2_3, 1), ids=lambda effects: "+".join(e.effect for e in effects)
-)
+@pytest.mark.parametrize("effects", third_of(AT_1_2_3, 1), ids=lambda effects: "+".join(e.effect for e in effects))
 def test_what_is_known_is_fed_forward(effects: tuple[Effect, ...]) -> None:
     base = tracking_without_rad()
     unknown, known = tracking_rad(effects, ()), tracking_rad(effects, effects)

@@ -136,8 +136,7 @@ AT_EACH_CHANGE = ("reference", "odrive", "roboclaw")  # one each of a stream, of
 
 
 @pytest.mark.parametrize(
-    ("kind", "cycles"),
-    [(kind, 30) for kind in AT_EACH_CHANGE] + [pytest.param(kind, MANY, marks=NIGHT) for kind in ON_BOARDS],
+    ("kind", "cycles"), [(kind, 30) for kind in AT_EACH_CHANGE] + [pytest.param(kind, MANY, marks=NIGHT) for kind in ON_BOARDS]
 )
 def test_no_board_that_is_silent_gone_or_back_leaves_anything(kind: str, cycles: int) -> None:
     on_boards = ON_BOARDS[kind]
@@ -199,30 +198,30 @@ def test_what_two_boards_say_in_one_cycle_is_heard_of_both(cell: Cell) -> None:
 @pytest.mark.parametrize("rounds", [1, pytest.param(400, marks=NIGHT)])
 def test_no_request_leaves_anything(cell: Cell, rounds: int) -> None:
     requests = (
-        *NONSENSE, *COMMANDS, {"do": "acknowledge"}, {"do": "fault_cycles"}, {"do": "status", "arm": "another"},
-        {"do": "gripper", "action": "open"}, {"do": "digital", "name": "lamp", "level": True}, {"do": "tool", "name": "no"},
-        {"do": "move_joints", "q_rad": [0.0, -1.9, -0.6]}, {"do": "jog_on"}, {"do": "average", "duration_s": 0.01},
-        {"do": "average_result"}, {"do": "stop"}, {"do": "control", "take": False}, {"do": "override", "fraction": 1.0},
-    )  # fmt: skip
-    flat(
-        cell,
-        rounds * len(requests),
-        lambda cell, number: cell.channel.request(requests[number % len(requests)]),
+        *NONSENSE,
+        *COMMANDS,
+        {"do": "acknowledge"},
+        {"do": "fault_cycles"},
+        {"do": "status", "arm": "another"},
+        {"do": "gripper", "action": "open"},
+        {"do": "digital", "name": "lamp", "level": True},
+        {"do": "tool", "name": "no"},
+        {"do": "move_joints", "q_rad": [0.0, -1.9, -0.6]},
+        {"do": "jog_on"},
+        {"do": "average", "duration_s": 0.01},
+        {"do": "average_result"},
+        {"do": "stop"},
+        {"do": "control", "take": False},
+        {"do": "override", "fraction": 1.0},
     )
+    flat(cell, rounds * len(requests), lambda cell, number: cell.channel.request(requests[number % len(requests)]))
 
 
 @pytest.mark.parametrize("clients", [40, pytest.param(4000, marks=NIGHT)])
 def test_no_client_that_comes_and_goes_leaves_anything(tmp_path: Path, clients: int) -> None:
     """Too many at once, half lines, no JSON, endless lines, and those that go without reading."""
     path = tmp_path / "arm.sock"
-    says = (
-        b'{"do": "mode"}\n',
-        b"no JSON\n",
-        b'{"do": "half',
-        b"[1, 2]\n\xff\n",
-        bytes(9000),
-        b'{"do": "stop"}\n' * 9,
-    )
+    says = (b'{"do": "mode"}\n', b"no JSON\n", b'{"do": "half', b"[1, 2]\n\xff\n", bytes(9000), b'{"do": "stop"}\n' * 9)
     with open_cell() as cell:
         server = Server(path, cell.assembly.requests.handle, cell.assembly.requests.on_gone)
         waiting: list[socket.socket] = []
@@ -250,14 +249,7 @@ def test_two_arms_on_one_runtime_leave_nothing() -> None:
     """Moved and stopped together, one stopped by the other's fault, and refused beside it."""
     with holding_pair() as pair:
         begun = {"do": "move_together", "moves": {arm: {"q_rad": [0.1, 0.1, 0.7]} for arm in pair.clients}}
-        requests = (
-            begun,
-            {"do": "stop"},
-            begun,
-            {"do": "acknowledge"},
-            {"do": "status"},
-            {"do": "home", "again": True},
-        )
+        requests = (begun, {"do": "stop"}, begun, {"do": "acknowledge"}, {"do": "status"}, {"do": "home", "again": True})
         seen = set()
         with nothing_left_for_the_collector():
             for number in range(80):

@@ -30,9 +30,7 @@ MARGIN_rad = 0.01  # levels are asked for every 20 ms; the joint then brakes
 
 
 def with_switches(switches: LimitSwitches = SWITCHES) -> Arm:
-    return replace(
-        with_drive(arm_of_four("motor"), 3, limit_switches=switches), digital=PINS, effects=FRICTION
-    )
+    return replace(with_drive(arm_of_four("motor"), 3, limit_switches=switches), digital=PINS, effects=FRICTION)
 
 
 def near_it(homed: bool) -> Scenario:
@@ -83,9 +81,7 @@ def test_a_switch_that_is_wired_to_the_other_end_stops_the_joint_also_after_off(
         jog(cell, 0.2)
         assert cell.faults == [("limit_switch", "joint 3")]
         assert "wired to the other end" in str(cell.runtime.monitor.faults[0])
-        for _ in range(
-            2
-        ):  # further in is refused again and again, whatever the file says of the switch's side
+        for _ in range(2):  # further in is refused again and again, whatever the file says of the switch's side
             cell.client.acknowledge()
             cell.client.enable()
             jog(cell, 0.2)
@@ -115,17 +111,13 @@ def test_a_switch_that_is_wired_to_the_other_end_lets_the_joint_back_out() -> No
 SWITCH = LimitSwitch(2, "joint 3", "high", 1.0, True, False, edge_rad=0.01)
 
 
-def followed(
-    met: MetSwitch, q_rad: Iterable[float], speed_rad_s: float, is_active: bool = False
-) -> MetSwitch:
+def followed(met: MetSwitch, q_rad: Iterable[float], speed_rad_s: float, is_active: bool = False) -> MetSwitch:
     for q in q_rad:
         met.follow(is_active, q, speed_rad_s)
     return met
 
 
-def test_a_switch_that_is_met_just_as_the_joint_turns_round_bars_both_ways_until_the_drives_were_off() -> (
-    None
-):
+def test_a_switch_that_is_met_just_as_the_joint_turns_round_bars_both_ways_until_the_drives_were_off() -> None:
     """A level comes late, and a joint lags: it met the switch on its way up, and its set-point goes down by then."""
     met = followed(MetSwitch(SWITCH), np.linspace(0.4, 0.601, 50), 0.2)
     followed(met, [0.602], -0.2)
@@ -212,27 +204,17 @@ def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other() -> None:
         cell.client.enable()
         cell.client.home()
         assert cell.faults == []
-        assert np.subtract(cell.runtime.parts.measurement.q_rad, cell.rig.joint_rad()) == pytest.approx(
-            0, abs=1e-3
-        )
+        assert np.subtract(cell.runtime.parts.measurement.q_rad, cell.rig.joint_rad()) == pytest.approx(0, abs=1e-3)
         cell.client.move_joints((0.0, 0.2, 0.3, 0.0), 0.3)
 
 
 @pytest.mark.parametrize(
     ("switches", "home", "said"),
     [
-        (
-            LimitSwitches(lower="nowhere"),
-            None,
-            r'an input .low, high.; "drive" is for: roboclaw, cia402; .*, got "nowhere"',
-        ),
+        (LimitSwitches(lower="nowhere"), None, r'an input .low, high.; "drive" is for: roboclaw, cia402; .*, got "nowhere"'),
         (LimitSwitches(lower="low", upper="low"), None, "low a second time"),
         (LimitSwitches(lower="low"), Home(0.1, 0.11, switch="upper"), "a limit switch for homing"),
-        (
-            LimitSwitches(lower="low"),
-            Home(0.1, 0.11, switch="lower"),
-            "where the lower limit switch is active",
-        ),
+        (LimitSwitches(lower="low"), Home(0.1, 0.11, switch="lower"), "where the lower limit switch is active"),
     ],
 )
 def test_switches_that_cannot_be_are_refused(switches: LimitSwitches, home: Home | None, said: str) -> None:
@@ -249,9 +231,7 @@ def test_a_drive_of_cia_402_says_of_switches_at_its_own_inputs(direction: Litera
     arm = with_drive(arm, 1, limit_switches=own, encoder_direction=direction, motor_direction=direction)
     arm = with_drive(arm, 1, home=Home(-0.5, -0.5, speed_rad_s=0.1, switch="lower"))
     check_arm(arm)
-    start = scenario(
-        (AT_rad - 0.05, 0.0, 0.0, 0.0), homed=False
-    )  # upright axis: it does not fall before it holds
+    start = scenario((AT_rad - 0.05, 0.0, 0.0, 0.0), homed=False)  # upright axis: it does not fall before it holds
     with open_cell(start, arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
         cell.client.enable()
         for _ in range(10):
@@ -273,18 +253,14 @@ def on_roboclaws(joint: int, direction: Literal[1, -1], end: Literal["lower", "u
     arm = on_boards(replace(arm_of_four("motor"), effects=FRICTION), "roboclaw")
     switches = LimitSwitches(**{end: "drive", f"{end}_rad": at_rad})  # type: ignore[arg-type]
     home = Home(at_rad, at_rad, speed_rad_s=0.1, switch=end)
-    arm = with_drive(
-        arm, joint, encoder_direction=direction, motor_direction=direction, limit_switches=switches, home=home
-    )
+    arm = with_drive(arm, joint, encoder_direction=direction, motor_direction=direction, limit_switches=switches, home=home)
     check_arm(arm)
     return arm
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(("joint", "start_rad"), [(1, AT_rad - 0.05), (2, AT_rad - 0.1)])
-def test_a_roboclaw_says_of_the_switch_at_its_s4_or_s5(
-    joint: int, start_rad: float, direction: Literal[1, -1]
-) -> None:
+def test_a_roboclaw_says_of_the_switch_at_its_s4_or_s5(joint: int, start_rad: float, direction: Literal[1, -1]) -> None:
     """Status bits of command 90; the board drives no further into it by itself. Joint 2 leans on its switch with its weight."""
     arm = on_roboclaws(joint, direction, "upper", AT_rad)
     start = scenario(tuple(start_rad if j == joint else 0.0 for j in (1, 2, 3, 4)))
@@ -324,26 +300,15 @@ def test_a_roboclaw_homes_on_its_limit_switch(direction: Literal[1, -1]) -> None
 def test_a_roboclaw_whose_pin_stops_the_motor_the_other_way_is_refused() -> None:
     wired, believed = on_roboclaws(1, 1, "lower", -0.5), on_roboclaws(1, 1, "upper", AT_rad)
     said = r'S4 as "Limit \(Fwd\)" \(0x12\).*its mode is 0x22'
-    with (
-        pytest.raises(ArmwrightError, match=said),
-        open_cell(scenario((0.0,) * 4), wired, believed=believed, period_s=0.01),
-    ):
+    with pytest.raises(ArmwrightError, match=said), open_cell(scenario((0.0,) * 4), wired, believed=believed, period_s=0.01):
         pass
 
 
 @pytest.mark.parametrize(
     ("kind", "keys", "said"),
     [
-        (
-            "vesc",
-            {"lower": "drive"},
-            r'\[\[digital\]\] that is an input .* "drive" is for: roboclaw, cia402; other boards: let',
-        ),
-        (
-            "roboclaw",
-            {"lower": "drive", "upper": "drive"},
-            "has one input for it: .* got the lower end and the upper end",
-        ),
+        ("vesc", {"lower": "drive"}, r'\[\[digital\]\] that is an input .* "drive" is for: roboclaw, cia402; other boards: let'),
+        ("roboclaw", {"lower": "drive", "upper": "drive"}, "has one input for it: .* got the lower end and the upper end"),
     ],
 )
 def test_limit_switches_that_a_board_does_not_say_of_are_refused_with_what_to_take_instead(

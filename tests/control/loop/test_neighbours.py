@@ -106,9 +106,7 @@ def test_a_motion_towards_an_arm_that_holds_stops_and_the_other_holds_on() -> No
         pair.start_move("left", *OUTWARD["left"])  # away again
 
 
-@pytest.mark.parametrize(
-    "jog", [{"joint_speed_rad_s": [-1.0, 0.0, 0.0]}, {"tip_velocity_m_s": [0.0, -0.3, 0.0]}]
-)
+@pytest.mark.parametrize("jog", [{"joint_speed_rad_s": [-1.0, 0.0, 0.0]}, {"tip_velocity_m_s": [0.0, -0.3, 0.0]}])
 def test_a_jog_comes_to_rest_before_the_other_arm(jog: dict[str, object]) -> None:
     arms = [placed.arm for placed in PAIR.arms]
     fast = PAIR.with_arms([replace(arm, limits=replace(arm.limits, jog_tip_speed_m_s=1.0)) for arm in arms])
@@ -134,8 +132,7 @@ def test_beside_an_arm_that_is_not_homed_only_jogs_move() -> None:
         pair.clients["left"].enable()
         refusal = pair.refusal("left", do="move_joints", q_rad=OUTWARD["left"])
         assert refusal == (
-            "arm 'right' is not homed, so its pose is unknown: home it first (`armwright home --arm right`); jogs"
-            " are free"
+            "arm 'right' is not homed, so its pose is unknown: home it first (`armwright home --arm right`); jogs are free"
         )
         assert pair.clients["left"].jog(joint=1, by_rad=0.05) == ""
 
@@ -175,9 +172,7 @@ def test_an_arm_that_stands_alone_does_not_meet_itself() -> None:
         with pytest.raises(RequestRefused, match="link 1 would meet its own link 3"):
             cell.client.move_joints((0.0, -0.4, -1.6))
         guard = cell.assembly.runtime.parts.tool.guard
-        assert "link 1 of the arm would meet its own link 3" in guard.objection(
-            (0.0, -0.4, -1.6), (0.0, -0.4, 0.4)
-        )
+        assert "link 1 of the arm would meet its own link 3" in guard.objection((0.0, -0.4, -1.6), (0.0, -0.4, 0.4))
         assert not guard.objection((0.0, -0.4, 0.2), (0.0, -0.4, 0.4))
 
 
@@ -189,11 +184,7 @@ def test_an_arm_does_not_meet_itself_between_the_poses_in_which_it_looks() -> No
         assert beside is not None
         gaps_m = []
         for k in range(3000):  # folded and stretched in turn, by up to 0.03 rad from pose to pose
-            q_rad = (
-                0.3 * math.sin(0.01 * k),
-                -0.4,
-                -0.7 + 1.2 * math.sin(0.02 * k + 0.3 * math.sin(0.003 * k)),
-            )
+            q_rad = (0.3 * math.sin(0.01 * k), -0.4, -0.7 + 1.2 * math.sin(0.02 * k + 0.3 * math.sin(0.003 * k)))
             at = body.at(q_rad)
             gaps_m.append(least_gap(at, at, body.own_pairs, math.inf).gap_m)
             assert bool(beside.objection(q_rad, here, False)) == (gaps_m[-1] < 0.0), q_rad

@@ -8,14 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from control.hardware.interface import Feedback
-from control.loop.cross_checks import (
-    CrossCheckLimits,
-    CrossChecks,
-    IndexWatch,
-    MotorCountWatch,
-    SwitchPlace,
-    SwitchWatch,
-)
+from control.loop.cross_checks import CrossCheckLimits, CrossChecks, IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
 from control.loop.watch import Expectation, MeasuredLimits, Watch, WatchLimits
 from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.servo.servo import Motor
@@ -28,18 +21,37 @@ LIMITS = CrossCheckLimits(0.5, 0.25, 0.75, 1.25, 80.0)
 HOME, ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 0x04, 0x08, 0x10, 0x20
 OPERATION_ENABLED, LIMITING = 0x27, 0x80
 DRIVE_FAULTS = {
-    0x01: "over-current", 0x02: "over-temperature", 0x04: "supply too low", 0x08: "supply too high", 0x10: "watchdog",
-    0x20: "encoder", 0x40: "bad command", 0x80: "emergency stop",
-}  # fmt: skip
+    0x01: "over-current",
+    0x02: "over-temperature",
+    0x04: "supply too low",
+    0x08: "supply too high",
+    0x10: "watchdog",
+    0x20: "encoder",
+    0x40: "bad command",
+    0x80: "emergency stop",
+}
 REACTIONS = {
-    "encoder_stale": Reaction.HOLD, "drive_silent": Reaction.HOLD, "drive_fault": Reaction.HOLD,
-    "drive_left": Reaction.HOLD, "zero_lost": Reaction.HOLD, "encoder_signal": Reaction.BRAKE,
-    "encoder_miscount": Reaction.BRAKE, "encoder_leap": Reaction.BRAKE, "overspeed": Reaction.BRAKE,
-    "following_error": Reaction.CONTROLLED, "joint_range": Reaction.CONTROLLED, "loop_late": Reaction.CONTROLLED,
-    "encoder_contradicted": Reaction.BRAKE, "unexplained_torque": Reaction.CONTROLLED, "supply": Reaction.BRAKE,
-    "over_current": Reaction.BRAKE, "over_temperature": Reaction.CONTROLLED, "encoders_differ": Reaction.BRAKE,
-    "switch_off": Reaction.CONTROLLED, "index_off": Reaction.CONTROLLED,
-}  # fmt: skip
+    "encoder_stale": Reaction.HOLD,
+    "drive_silent": Reaction.HOLD,
+    "drive_fault": Reaction.HOLD,
+    "drive_left": Reaction.HOLD,
+    "zero_lost": Reaction.HOLD,
+    "encoder_signal": Reaction.BRAKE,
+    "encoder_miscount": Reaction.BRAKE,
+    "encoder_leap": Reaction.BRAKE,
+    "overspeed": Reaction.BRAKE,
+    "following_error": Reaction.CONTROLLED,
+    "joint_range": Reaction.CONTROLLED,
+    "loop_late": Reaction.CONTROLLED,
+    "encoder_contradicted": Reaction.BRAKE,
+    "unexplained_torque": Reaction.CONTROLLED,
+    "supply": Reaction.BRAKE,
+    "over_current": Reaction.BRAKE,
+    "over_temperature": Reaction.CONTROLLED,
+    "encoders_differ": Reaction.BRAKE,
+    "switch_off": Reaction.CONTROLLED,
+    "index_off": Reaction.CONTROLLED,
+}
 
 
 def good(now_s: float = 8.0) -> Feedback:
@@ -69,7 +81,7 @@ def looked(
     change(feedback)
     return Watch(limits_of_watch(), NAMES).look(
         8.0, feedback, [q_rad] * 2, [speed_rad_s] * 2, [q_set_rad] * 2, [0.0] * 2, missed, Expectation(True, True, True)
-    )  # fmt: skip
+    )
 
 
 def both(name: str, value: object) -> Callable[[Feedback], None]:
@@ -92,9 +104,7 @@ def said(faults: list[Fault]) -> list[tuple[str, str]]:
         *(("drive_fault", both("drive_faults", bit)) for bit in DRIVE_FAULTS),
     ],
 )
-def test_what_happens_to_all_joints_at_once_is_found_on_all(
-    code: str, change: Callable[[Feedback], None]
-) -> None:
+def test_what_happens_to_all_joints_at_once_is_found_on_all(code: str, change: Callable[[Feedback], None]) -> None:
     assert said(looked(change)) == [(code, name) for name in NAMES]
 
 
@@ -132,9 +142,7 @@ def test_a_cycle_in_order_needs_no_thorough_look() -> None:
     watch.note_pause(8.0, 0.125)
     assert watch.look(8.0, good(7.875), *still, 0, expected) == []  # the host's own pause
     for speed_set_rad_s in (2.0, -2.0):  # a joint that moves may follow further behind
-        assert (
-            watch.look(8.0, good(), [0.5] * 2, [0.0] * 2, [0.6] * 2, [speed_set_rad_s] * 2, 0, expected) == []
-        )
+        assert watch.look(8.0, good(), [0.5] * 2, [0.0] * 2, [0.6] * 2, [speed_set_rad_s] * 2, 0, expected) == []
     wild = [9.0, 9.0], [9.0, 9.0], [0.5, 0.5], [0.0, 0.0]
     assert watch.look(8.0, good(), *wild, 0, Expectation(True, True, False)) == []
     unhomed = good()
@@ -145,9 +153,7 @@ def test_a_cycle_in_order_needs_no_thorough_look() -> None:
 
 
 def test_a_silent_encoder_board_and_a_late_loop_are_one_finding_each() -> None:
-    assert said(looked(lambda feedback: setattr(feedback, "encoder_at_s", 7.9))) == [
-        ("encoder_stale", "encoder board")
-    ]
+    assert said(looked(lambda feedback: setattr(feedback, "encoder_at_s", 7.9))) == [("encoder_stale", "encoder board")]
     assert said(looked(missed=11)) == [("loop_late", "control loop")]
 
 
@@ -163,9 +169,7 @@ def test_a_leap_is_a_fault_of_the_joint_that_made_it() -> None:
     watch = Watch(limits_of_watch(), NAMES)
     assert said(watch.miscounts([0.0, 0.0], [False, False], True)) == []
     assert said(watch.miscounts([0.0, -0.2], [False, False], False)) == [("encoder_leap", "joint 2")]
-    assert said(watch.miscounts([0.1, 0.2], [False, False], True)) == [
-        ("encoder_leap", name) for name in NAMES
-    ]
+    assert said(watch.miscounts([0.1, 0.2], [False, False], True)) == [("encoder_leap", name) for name in NAMES]
     assert said(watch.miscounts([0.0, 0.0], [False, True], True)) == [("zero_lost", "joint 2")]
     assert said(watch.miscounts([0.0, 0.0], [False, True], False)) == []
 
@@ -184,9 +188,16 @@ def test_reactions_have_an_order_of_severity() -> None:
 
 def test_faults_that_are_not_the_zeros_leave_it() -> None:
     assert {
-        "zero_lost", "encoder_signal", "encoder_miscount", "encoder_leap", "encoder_contradicted", "encoders_differ",
-        "index_off", "switch_off", "overspeed",
-    } == LOSES_ZERO  # fmt: skip
+        "zero_lost",
+        "encoder_signal",
+        "encoder_miscount",
+        "encoder_leap",
+        "encoder_contradicted",
+        "encoders_differ",
+        "index_off",
+        "switch_off",
+        "overspeed",
+    } == LOSES_ZERO
     assert set(REACTIONS) >= LOSES_ZERO
 
 
@@ -220,12 +231,16 @@ class Checked:
 @pytest.mark.parametrize(
     ("code", "name", "inside", "outside"),
     [
-        ("supply", "supply_V", 18.0, 17.99), ("supply", "supply_V", 30.0, 30.01),
-        ("over_current", "current_A", 12.0, 12.01), ("over_current", "current_A", -12.0, -12.01),
-        ("over_temperature", "temperature_C", 80.0, 80.1), ("supply", "supply_V", 24.0, math.nan),
-        ("over_temperature", "temperature_C", -40.0, math.nan), ("over_current", "current_A", 0.0, math.nan),
+        ("supply", "supply_V", 18.0, 17.99),
+        ("supply", "supply_V", 30.0, 30.01),
+        ("over_current", "current_A", 12.0, 12.01),
+        ("over_current", "current_A", -12.0, -12.01),
+        ("over_temperature", "temperature_C", 80.0, 80.1),
+        ("supply", "supply_V", 24.0, math.nan),
+        ("over_temperature", "temperature_C", -40.0, math.nan),
+        ("over_current", "current_A", 0.0, math.nan),
     ],
-)  # fmt: skip
+)
 def test_a_value_outside_of_its_limits_for_ten_cycles_is_found_on_its_joint(
     code: str, name: str, inside: float, outside: float
 ) -> None:
@@ -261,21 +276,14 @@ def test_a_board_that_limits_its_output_says_nothing_of_its_voltage() -> None:
     assert arm.after(200) == []
 
 
-@pytest.mark.parametrize(
-    ("age_of_reply", "age_of_count", "is_used"), [(1.4, 2.9, True), (1.6, 0.0, False), (0.0, 3.1, False)]
-)
-def test_values_of_different_moments_are_not_compared(
-    age_of_reply: float, age_of_count: float, is_used: bool
-) -> None:
+@pytest.mark.parametrize(("age_of_reply", "age_of_count", "is_used"), [(1.4, 2.9, True), (1.6, 0.0, False), (0.0, 3.1, False)])
+def test_values_of_different_moments_are_not_compared(age_of_reply: float, age_of_count: float, is_used: bool) -> None:
     cross_checks, feedback = CrossChecks([MOTOR], LIMITS, NAMES[:1]), good(0.0)
     feedback.sent_V = [4.0, 0.0]
     found: list[Fault] = []
     for k in range(300):
         now_s = k * CYCLE_s
-        feedback.reply_at_s, feedback.reported_at_s = (
-            [now_s - age_of_reply * CYCLE_s],
-            [now_s - age_of_count * CYCLE_s],
-        )
+        feedback.reply_at_s, feedback.reported_at_s = ([now_s - age_of_reply * CYCLE_s], [now_s - age_of_count * CYCLE_s])
         found += cross_checks.look(now_s, CYCLE_s, feedback, [0.0], [0.0])
     assert bool(found) == is_used
 
@@ -294,10 +302,7 @@ def test_a_supply_that_is_low_excuses_as_much_as_one_that_is_high() -> None:
     arm.feedback.sent_V, arm.feedback.supply_V = [20.0, 20.0], [19.2, 19.2]  # a fifth below 24 V
     arm.speed_rad_s = [4.0, 4.0]
     assert arm.after(200) == []
-    arm.speed_rad_s = [
-        2.5,
-        2.5,
-    ]  # 10 V are missing, of which 4 V are the supply's and 2.5 V the share of the terms
+    arm.speed_rad_s = [2.5, 2.5]  # 10 V are missing, of which 4 V are the supply's and 2.5 V the share of the terms
     assert arm.until_found()[1] == [("encoder_contradicted", name) for name in NAMES]
 
 

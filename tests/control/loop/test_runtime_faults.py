@@ -86,11 +86,7 @@ def test_a_watchdog_that_expires_is_a_fault_of_its_drive() -> None:
         cell.rig.clock.wait_until_s(begun_s + 1.2 * Limits().watchdog_s)  # the loop itself stands still
         cell.until_fault(0.05)
         assert cell.rig.joint_rad() == pytest.approx(held, abs=1e-3)  # the boards have held the arm
-        assert {where for code, where in cell.faults if code == "drive_fault"} == {
-            "joint 1",
-            "joint 2",
-            "joint 3",
-        }
+        assert {where for code, where in cell.faults if code == "drive_fault"} == {"joint 1", "joint 2", "joint 3"}
         assert any("watchdog" in fault.message for fault in cell.runtime.monitor.faults)
 
 
@@ -149,9 +145,7 @@ def test_a_board_that_restarted_before_the_arm_was_off_reports_again_when_it_is_
 
 
 @pytest.mark.parametrize(("counts", "code"), [(3000.0, "encoder_leap"), (400.0, "encoders_differ")])
-def test_a_zero_that_is_lost_while_the_boards_hold_the_arm_is_found(
-    cell: Cell, counts: float, code: str
-) -> None:
+def test_a_zero_that_is_lost_while_the_boards_hold_the_arm_is_found(cell: Cell, counts: float, code: str) -> None:
     cell.run(0.2)  # each motor board is asked for its own count in turn
     cell.inject("silent", "motor2")
     cell.until_fault(0.1)
@@ -161,9 +155,7 @@ def test_a_zero_that_is_lost_while_the_boards_hold_the_arm_is_found(
     assert not cell.runtime.monitor.is_homed
 
 
-def test_a_motor_board_that_hears_nothing_is_named_and_its_own_watchdog_brakes_its_joint(
-    moving: Cell,
-) -> None:
+def test_a_motor_board_that_hears_nothing_is_named_and_its_own_watchdog_brakes_its_joint(moving: Cell) -> None:
     moving.inject("silent", "motor2")
     moving.until_fault(STALE_s + 5 * CYCLE_s)
     assert moving.faults == [("drive_silent", "joint 2")]
@@ -189,9 +181,7 @@ def test_swapped_polarity_faults_before_the_joint_has_run_away(joint: int) -> No
         before = cell.rig.joint_rad()
         cell.client.ask("enable")
         cell.run(0.05)
-        cell.channel.request(
-            {"do": "move_joints", "q_rad": list(TARGET)}
-        )  # refused where gravity was quicker
+        cell.channel.request({"do": "move_joints", "q_rad": list(TARGET)})  # refused where gravity was quicker
         cell.until_fault(0.5)
         cell.run(0.1)
         after = cell.rig.joint_rad()
@@ -255,9 +245,7 @@ def test_an_exception_inside_the_cycle_brakes_the_arm_and_does_not_drop_it(
     sinks_gently(moving)
 
 
-def test_a_link_that_is_lost_is_a_fault_that_names_it_and_stops_all_joints(
-    moving: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_link_that_is_lost_is_a_fault_that_names_it_and_stops_all_joints(moving: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     def lost() -> None:
         raise LinkLost("serial port /dev/ttyACM0: gone")
 
@@ -268,9 +256,7 @@ def test_a_link_that_is_lost_is_a_fault_that_names_it_and_stops_all_joints(
     sinks_gently(moving)
 
 
-def test_with_a_link_gone_for_good_the_runtime_can_still_be_ended(
-    moving: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_a_link_gone_for_good_the_runtime_can_still_be_ended(moving: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     def lost() -> None:
         raise LinkLost("serial port /dev/ttyACM0: gone")
 
@@ -282,9 +268,7 @@ def test_with_a_link_gone_for_good_the_runtime_can_still_be_ended(
     assert not moving.connection.hardware.is_any_enabled()
 
 
-def test_when_no_link_carries_anything_the_cycle_goes_on_and_says_so(
-    moving: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_when_no_link_carries_anything_the_cycle_goes_on_and_says_so(moving: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(*arguments: object) -> None:
         raise LinkLost("can0: gone")
 
@@ -334,9 +318,7 @@ def test_a_fault_is_acknowledged_once_its_cause_is_gone_and_not_before(moving: C
     moving.client.move_joints(moving.client.status()["q_rad"])
 
 
-def test_a_held_fault_is_acknowledged_only_after_its_stop(
-    moving: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_held_fault_is_acknowledged_only_after_its_stop(moving: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     from control.safety.fault import Fault, Reaction
 
     moving.runtime.fail(Fault("test", "here", "a test", "nothing", Reaction.CONTROLLED))

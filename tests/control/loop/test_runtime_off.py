@@ -31,9 +31,7 @@ def is_off(cell: Cell) -> bool:
     return cell.mode is Mode.OFF and not cell.connection.hardware.is_any_enabled()
 
 
-def test_off_while_a_stretched_arm_moves_stops_holds_brakes_and_lets_it_sink(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_off_while_a_stretched_arm_moves_stops_holds_brakes_and_lets_it_sink(monkeypatch: pytest.MonkeyPatch) -> None:
     with holding_cell() as cell:
         cell.start_move((0.5, -0.4, 0.4))
         cell.run(0.1)
@@ -79,9 +77,7 @@ def test_off_with_friction_is_quick_because_the_arm_stays() -> None:
         assert cell.mode is Mode.HOLDING
 
 
-@pytest.mark.parametrize(
-    "state", ["homing", "guiding", "braked", "held fault", "braked fault", "enabling", "off"]
-)
+@pytest.mark.parametrize("state", ["homing", "guiding", "braked", "held fault", "braked fault", "enabling", "off"])
 def test_off_works_from_every_mode_and_nothing_drops(state: str) -> None:
     from control.safety.fault import Fault, Reaction
 

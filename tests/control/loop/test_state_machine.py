@@ -48,10 +48,15 @@ LEAVES_WITHIN_S = 30.0
 TARGETS = [STRETCHED, (0.4, -0.5, 0.4), (-0.3, -0.9, 0.6)]
 SPEED_LIMIT_rad_s = 2.0  # of arm right
 FAULTS = [
-    ("silent", "encoder", 0.06), ("silent", "motor2", 0.06), ("drop_frames", "encoder", 0.2),
-    ("drop_frames", "motor1", 0.2), ("duplicate_frames", "motor3", 0.2), ("quadrature_error", "encoder", 0.05),
-    ("over_temperature", "motor3", 0.05), ("over_current", "motor1", 0.02),
-]  # fmt: skip
+    ("silent", "encoder", 0.06),
+    ("silent", "motor2", 0.06),
+    ("drop_frames", "encoder", 0.2),
+    ("drop_frames", "motor1", 0.2),
+    ("duplicate_frames", "motor3", 0.2),
+    ("quadrature_error", "encoder", 0.05),
+    ("over_temperature", "motor3", 0.05),
+    ("over_current", "motor1", 0.02),
+]
 
 
 class Arm(RuleBasedStateMachine):
@@ -82,11 +87,7 @@ class Arm(RuleBasedStateMachine):
     def jog(self, speed_rad_s: float) -> None:
         self.ask("jog", joint_speed_rad_s=[speed_rad_s, 0.0, 0.0])
 
-    @rule(
-        do=st.sampled_from(
-            ["enable", "home", "pause", "resume", "stop", "hold", "brake", "acknowledge", "off"]
-        )
-    )
+    @rule(do=st.sampled_from(["enable", "home", "pause", "resume", "stop", "hold", "brake", "acknowledge", "off"]))
     def request(self, do: str) -> None:
         self.ask(do)
 

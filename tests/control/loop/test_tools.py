@@ -62,9 +62,7 @@ def test_a_path_runs_with_the_tool_that_it_was_planned_for_and_no_other(cell: Ce
     x, y, z = ForwardKinematics(arm).tip(*RAISED)
     path = plan_path(arm, [(x, y, z), (x, y + 0.05, z)], 0.1, q_near_rad=RAISED)
     cell.client.move_joints(path.q_start_rad)
-    assert "'cup' is mounted: plan it again" in cell.refusal(
-        do="run_path", path=path.to_message(), tool="pen"
-    )
+    assert "'cup' is mounted: plan it again" in cell.refusal(do="run_path", path=path.to_message(), tool="pen")
     cell.client.run_path(path.to_message(), tool="cup")
     assert math.dist(cell.rig.tip_m(), (x, y + 0.05, z)) < 2e-3
 
@@ -74,9 +72,7 @@ def test_the_guard_holds_the_tip_of_the_tool_that_is_on_above_the_floor() -> Non
     long = Tool((-0.4, 0.0, 0.0), name="long")
     low = (0.1, -0.6, 0.2)
     with holding_cell(scenario(RAISED), replace(RIGHT, tool=PEN, spare_tools=(long,))) as cell:
-        before, after = (
-            ForwardKinematics(cell_arm).tip(*low)[2] for cell_arm in (RIGHT, replace(RIGHT, tool=long))
-        )
+        before, after = (ForwardKinematics(cell_arm).tip(*low)[2] for cell_arm in (RIGHT, replace(RIGHT, tool=long)))
         assert after < -0.02 < before
         cell.client.tool("long")
         assert "floor" in cell.refusal(do="move_joints", q_rad=list(low))

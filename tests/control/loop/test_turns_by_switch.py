@@ -43,9 +43,7 @@ def with_switches_off(arm: Arm, share: float) -> Arm:
     for drive in arm.drives:
         assert drive.home is not None
         off_rad = share * drive.encoder_turn_rad
-        home = replace(
-            drive.home, switch_rad=drive.home.switch_rad + off_rad, index_rad=drive.home.index_rad + off_rad
-        )
+        home = replace(drive.home, switch_rad=drive.home.switch_rad + off_rad, index_rad=drive.home.index_rad + off_rad)
         drives.append(replace(drive, home=home))
     return replace(arm, drives=tuple(drives))
 
@@ -58,10 +56,7 @@ def test_homing_finds_the_turn_and_the_encoder_the_place_in_it() -> None:
     arm = arm_on_moteus()
     period_s = 1.0 / arm.usual_rate_Hz
     believed = with_switches_off(arm, 0.25)
-    assert all(
-        drive.encoder_turn_rad < 0.15 < 3.0 < drive.joint_upper_rad - drive.joint_lower_rad
-        for drive in arm.drives
-    )
+    assert all(drive.encoder_turn_rad < 0.15 < 3.0 < drive.joint_upper_rad - drive.joint_lower_rad for drive in arm.drives)
     with open_cell(scenario(START, homed=False), arm, believed=believed, period_s=period_s) as cell:
         cell.client.enable()
         assert not cell.runtime.monitor.is_homed
@@ -78,9 +73,7 @@ def test_homing_finds_the_turn_and_the_encoder_the_place_in_it() -> None:
 def test_a_switch_between_two_turns_stops_the_homing() -> None:
     arm = arm_on_moteus()
     believed = with_switches_off(arm, 0.45)
-    with open_cell(
-        scenario(START, homed=False), arm, believed=believed, period_s=1.0 / arm.usual_rate_Hz
-    ) as cell:
+    with open_cell(scenario(START, homed=False), arm, believed=believed, period_s=1.0 / arm.usual_rate_Hz) as cell:
         cell.client.enable()
         with pytest.raises(ArmFaulted, match=r"joint 1: its home switch and its absolute encoder differ by"):
             cell.client.home()

@@ -60,19 +60,18 @@ class Cycle:
 
     def faults(self, watch: Watch | None = None) -> list[Fault]:
         feedback = Feedback(2)
-        for name in (
-            "encoder_at_s",
-            "reported_at_s",
-            "reply_at_s",
-            "channel_flags",
-            "statusword",
-            "drive_faults",
-        ):
+        for name in ("encoder_at_s", "reported_at_s", "reply_at_s", "channel_flags", "statusword", "drive_faults"):
             setattr(feedback, name, getattr(self, name))
         return (watch or Watch(LIMITS, ("joint 1", "joint 2"))).look(
-            self.now_s, feedback, self.q_rad, self.speed_rad_s, self.q_set_rad, self.speed_set_rad_s,
-            self.missed_in_row, self.expected,
-        )  # fmt: skip
+            self.now_s,
+            feedback,
+            self.q_rad,
+            self.speed_rad_s,
+            self.q_set_rad,
+            self.speed_set_rad_s,
+            self.missed_in_row,
+            self.expected,
+        )
 
     def codes(self, watch: Watch | None = None) -> list[tuple[str, str]]:
         return [(fault.code, fault.where) for fault in self.faults(watch)]
@@ -92,18 +91,8 @@ def test_when_all_is_well_nothing_is_found() -> None:
 
 
 AT_AND_BEYOND: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
-    (
-        "encoder_stale",
-        "encoder board",
-        {"encoder_at_s": NOW_S - 0.03125},
-        {"encoder_at_s": NOW_S - 0.03125 - TINY},
-    ),
-    (
-        "drive_silent",
-        "joint 2",
-        {"reply_at_s": [NOW_S, NOW_S - 0.03125]},
-        {"reply_at_s": [NOW_S, NOW_S - 0.03125 - TINY]},
-    ),
+    ("encoder_stale", "encoder board", {"encoder_at_s": NOW_S - 0.03125}, {"encoder_at_s": NOW_S - 0.03125 - TINY}),
+    ("drive_silent", "joint 2", {"reply_at_s": [NOW_S, NOW_S - 0.03125]}, {"reply_at_s": [NOW_S, NOW_S - 0.03125 - TINY]}),
     ("overspeed", "joint 2", {"speed_rad_s": [0.0, 4.0]}, {"speed_rad_s": [0.0, 4.0 + TINY]}),
     ("overspeed", "joint 2", {"speed_rad_s": [0.0, -4.0]}, {"speed_rad_s": [0.0, -4.0 - TINY]}),
     ("following_error", "joint 2", {"q_rad": [0.5, 0.5625]}, {"q_rad": [0.5, 0.5625 + TINY]}),
@@ -166,9 +155,7 @@ def test_bits_that_belong_to_no_state_do_not_matter(free_bits: int) -> None:
         (SIGNAL_LOST | QUADRATURE_ERROR, ["encoder_signal", "zero_lost"], ["encoder_signal"]),
     ],
 )
-def test_what_a_channel_says_counts_as_far_as_its_angle_is_believed(
-    flags: int, homed: list[str], unhomed: list[str]
-) -> None:
+def test_what_a_channel_says_counts_as_far_as_its_angle_is_believed(flags: int, homed: list[str], unhomed: list[str]) -> None:
     cycle = changed(channel_flags=[ZERO_SET, flags])
     assert cycle.codes() == [(code, "joint 2") for code in homed]
     cycle.expected = Expectation(True, False, True)
@@ -182,9 +169,7 @@ def test_before_homing_an_angle_out_of_range_means_nothing() -> None:
 
 def test_a_joint_that_was_taken_out_of_its_range_by_hand_may_be_held_there_but_goes_no_further() -> None:
     assert changed(q_rad=[0.5, 2.5], q_set_rad=[0.5, 2.5]).codes() == []
-    assert ("joint_range", "joint 2") in changed(
-        q_rad=[0.5, 2.5 + 0.0625 + TINY], q_set_rad=[0.5, 2.5]
-    ).codes()
+    assert ("joint_range", "joint 2") in changed(q_rad=[0.5, 2.5 + 0.0625 + TINY], q_set_rad=[0.5, 2.5]).codes()
 
 
 def test_a_joint_that_lags_may_arrive_after_its_set_point_and_must_then_be_there() -> None:
@@ -227,9 +212,7 @@ def test_a_loop_that_asked_one_board_for_long_has_not_heard_the_others() -> None
     waited_s = 0.5  # longer than a board may be silent
     watch.note_wait(NOW_S, waited_s)
     assert changed(reply_at_s=[NOW_S - waited_s] * 2).codes(watch) == []
-    lately = changed(
-        now_s=NOW_S + 0.125, encoder_at_s=NOW_S + 0.125, reply_at_s=[NOW_S - waited_s, NOW_S + 0.125]
-    )
+    lately = changed(now_s=NOW_S + 0.125, encoder_at_s=NOW_S + 0.125, reply_at_s=[NOW_S - waited_s, NOW_S + 0.125])
     assert lately.codes(watch) == [("drive_silent", "joint 1")]
 
 
@@ -271,9 +254,7 @@ def test_a_host_that_is_mostly_away_does_not_hide_a_dead_board_beyond_the_watchd
         assert found == ([("encoder_stale", "encoder board")] if now_s - NOW_S > 0.25 else [])
 
 
-@pytest.mark.parametrize(
-    "name", ["encoder_at_s", "reply_at_s", "q_rad", "speed_rad_s", "q_set_rad", "speed_set_rad_s"]
-)
+@pytest.mark.parametrize("name", ["encoder_at_s", "reply_at_s", "q_rad", "speed_rad_s", "q_set_rad", "speed_set_rad_s"])
 def test_a_number_that_is_none_is_never_in_order(name: str) -> None:
     value = math.nan if name == "encoder_at_s" else second(getattr(Cycle(), name)[0], math.nan)
     with contextlib.suppress(NotFinite):  # the loop brakes for that too

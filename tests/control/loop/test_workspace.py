@@ -74,9 +74,7 @@ def test_a_raw_path_into_the_table_is_refused(low: Cell) -> None:
     ),
     ids=str,
 )
-def test_a_jog_comes_to_rest_above_the_floor_says_why_and_can_be_jogged_back(
-    low: Cell, request_: dict[str, Any]
-) -> None:
+def test_a_jog_comes_to_rest_above_the_floor_says_why_and_can_be_jogged_back(low: Cell, request_: dict[str, Any]) -> None:
     heights, limited = lowest_tip_m(low), ""
     for _ in range(30):  # renewed all the time, at rest too
         limited = str(low.client.ask("jog", **request_)["limited"]) or limited

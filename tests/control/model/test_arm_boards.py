@@ -25,9 +25,7 @@ def _homed_by_a_switch(arm: Arm) -> Arm:
 
 
 def _counted_elsewhere(arm: Arm) -> Arm:
-    return with_drive(
-        replace(arm, encoder_boards=RIGHT.encoder_boards), 1, encoder_board=0, encoder_channel=0
-    )
+    return with_drive(replace(arm, encoder_boards=RIGHT.encoder_boards), 1, encoder_board=0, encoder_channel=0)
 
 
 def _beside_a_reference_board(arm: Arm) -> Arm:
@@ -40,9 +38,7 @@ def _beside_a_cia402_drive(arm: Arm) -> Arm:
 
 
 def _second(**changes: Any) -> Callable[[Arm], Arm]:
-    return lambda arm: replace(
-        arm, boards=(arm.boards[0], replace(arm.boards[1], **changes), *arm.boards[2:])
-    )
+    return lambda arm: replace(arm, boards=(arm.boards[0], replace(arm.boards[1], **changes), *arm.boards[2:]))
 
 
 def _first_drive(**changes: Any) -> Callable[[Arm], Arm]:
@@ -54,26 +50,10 @@ def _first_drive(**changes: Any) -> Callable[[Arm], Arm]:
 @pytest.mark.parametrize(
     ("kind", "change", "said"),
     [
-        (
-            "vesc",
-            _absolute,
-            r"absolute of \[\[board\]\] 1: expected true only for moteus, odrive, got true for a vesc",
-        ),
-        (
-            "odrive",
-            _homed_by_a_switch,
-            r"home of \[\[drive\]\] 1: expected none: its board reads no home switch",
-        ),
-        (
-            "odrive",
-            _counted_elsewhere,
-            r"encoder_board of \[\[drive\]\] 1: expected none: such a drive closes its own loop",
-        ),
-        (
-            "cia402",
-            _counted_elsewhere,
-            r"encoder_board of \[\[drive\]\] 1: expected none: such a drive closes its own loop",
-        ),
+        ("vesc", _absolute, r"absolute of \[\[board\]\] 1: expected true only for moteus, odrive, got true for a vesc"),
+        ("odrive", _homed_by_a_switch, r"home of \[\[drive\]\] 1: expected none: its board reads no home switch"),
+        ("odrive", _counted_elsewhere, r"encoder_board of \[\[drive\]\] 1: expected none: such a drive closes its own loop"),
+        ("cia402", _counted_elsewhere, r"encoder_board of \[\[drive\]\] 1: expected none: such a drive closes its own loop"),
         ("odrive", _beside_a_cia402_drive, "no cia402 beside odrive on one CAN bus"),
         ("odrive", _beside_a_reference_board, "no odrive beside reference motor boards on one CAN bus"),
         ("dynamixel", _second(address=1), "address of .* 2: expected another one than that of dynamixel1"),
@@ -84,11 +64,7 @@ def _first_drive(**changes: Any) -> Callable[[Arm], Arm]:
         ("vesc", _first_drive(board="vesc2"), r"one joint per motor of a board \(board, channel\)"),
         ("vesc", _first_drive(board_channel=2), "board_channel of .* 1: expected 1, its only motor, got 2"),
         ("vesc", _first_drive(encoder_counts_per_rev=2048), "encoder_counts_per_rev of .* 1: expected 18000"),
-        (
-            "dynamixel",
-            _first_drive(encoder_counts_per_rev=2048),
-            "encoder_counts_per_rev of .* expected 4096",
-        ),
+        ("dynamixel", _first_drive(encoder_counts_per_rev=2048), "encoder_counts_per_rev of .* expected 4096"),
         ("moteus", _second(port="/dev/ttyACM0"), "port of .* 2: expected none: a moteus is on the bus"),
     ],
 )
@@ -110,28 +86,12 @@ def test_an_odrive_in_current_mode_may_leave_counting_and_homing_to_an_encoder_b
 @pytest.mark.parametrize(
     ("kind", "change", "said"),
     [
-        (
-            "dynamixel",
-            {"gear_ratio": 3.0},
-            r"joint_upper_rad of .* 1: .* one turn, 2.094 rad here, .*gear_ratio = 3",
-        ),
+        ("dynamixel", {"gear_ratio": 3.0}, r"joint_upper_rad of .* 1: .* one turn, 2.094 rad here, .*gear_ratio = 3"),
         ("feetech", {"joint_lower_rad": -3.2, "joint_upper_rad": 3.2}, "a range below 6.283 rad"),
         ("dynamixel", {"joint_lower_rad": -math.inf}, "a range below 6.283 rad"),
-        (
-            "dynamixel",
-            {"gear_ratio": 5.0},
-            r"below 1\.257 rad.*reads no switch that tells its turn: .* a moteus",
-        ),
-        (
-            "feetech",
-            {"zero_count": 300},
-            r"zero_count of .* 1: .* 0 to 4095, here -0.4602 to 5.821 .*about 2048",
-        ),
-        (
-            "feetech",
-            {"zero_count": 3000, "encoder_direction": -1},
-            "counts 1305 to 4695 .*zero_count is about 2048",
-        ),
+        ("dynamixel", {"gear_ratio": 5.0}, r"below 1\.257 rad.*reads no switch that tells its turn: .* a moteus"),
+        ("feetech", {"zero_count": 300}, r"zero_count of .* 1: .* 0 to 4095, here -0.4602 to 5.821 .*about 2048"),
+        ("feetech", {"zero_count": 3000, "encoder_direction": -1}, "counts 1305 to 4695 .*zero_count is about 2048"),
     ],
 )
 def test_a_range_that_leaves_the_turn_that_an_absolute_encoder_knows_is_refused(
@@ -148,15 +108,11 @@ def test_a_board_that_is_called_absolute_says_over_how_many_turns_of_its_encoder
 ) -> None:
     arm = on_boards(RIGHT, "odrive")
     arm = replace(arm, boards=tuple(replace(board, absolute_turns=turns) for board in arm.boards))
-    save_arm(
-        replace(arm, drives=tuple(replace(d, gear_ratio=100.0) for d in arm.drives)), tmp_path / "arm.toml"
-    )
+    save_arm(replace(arm, drives=tuple(replace(d, gear_ratio=100.0) for d in arm.drives)), tmp_path / "arm.toml")
     if is_read:
         assert load_arm(tmp_path / "arm.toml").unique_rad(arm.drives[0]) == pytest.approx(2.0 * math.pi)
     else:
-        with pytest.raises(
-            ArmError, match=r"a range below 0.06283 rad.*gear_ratio = 100 is of gears between"
-        ):
+        with pytest.raises(ArmError, match=r"a range below 0.06283 rad.*gear_ratio = 100 is of gears between"):
             load_arm(tmp_path / "arm.toml")
     alone = replace(arm, boards=tuple(replace(b, absolute=False, absolute_turns=2.0) for b in arm.boards))
     save_arm(alone, tmp_path / "alone.toml")
@@ -193,15 +149,7 @@ def test_a_can_bus_is_loaded_by_what_bought_boards_send_and_are_sent(
 
 @pytest.mark.parametrize(
     ("kind", "boards", "rate_Hz"),
-    [
-        ("cia402", 6, 200.0),
-        ("cia402", 12, 100.0),
-        ("moteus", 12, 150.0),
-        ("odrive", 7, 250.0),
-        ("vesc", 6, 200.0),
-    ],
+    [("cia402", 6, 200.0), ("cia402", 12, 100.0), ("moteus", 12, 150.0), ("odrive", 7, 250.0), ("vesc", 6, 200.0)],
 )
-def test_the_loop_is_as_slow_as_the_frames_that_it_asks_for_need(
-    kind: str, boards: int, rate_Hz: float
-) -> None:
+def test_the_loop_is_as_slow_as_the_frames_that_it_asks_for_need(kind: str, boards: int, rate_Hz: float) -> None:
     assert usual_rate_Hz(on_one_bus(kind, boards)) == rate_Hz

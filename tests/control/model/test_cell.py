@@ -61,15 +61,9 @@ def test_a_base_that_is_turned_and_moved_takes_points_there_and_back(tmp_path: P
         ('"right"', '"rigth"', None, 'expected a path to an arm.toml, or "koch" or "left" or "right" or "so100" or'),
         ("[[arm]]", "[arm]", 2, "expected"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_is_refused_with_its_line(
-    tmp_path: Path, old: str, new: str, line: int | None, said: str
-) -> None:
-    text = (
-        TWO.replace(old, new)
-        if old != "[[arm]]"
-        else TWO.partition('[[arm]]\nfile = "right"')[0].replace(old, new)
-    )
+)
+def test_what_cannot_be_is_refused_with_its_line(tmp_path: Path, old: str, new: str, line: int | None, said: str) -> None:
+    text = TWO.replace(old, new) if old != "[[arm]]" else TWO.partition('[[arm]]\nfile = "right"')[0].replace(old, new)
     with pytest.raises(ArmFileError) as refused:
         load_cell(written(tmp_path, text))
     assert said in str(refused.value)
@@ -122,7 +116,7 @@ def saved(folder: Path, *kinds: str) -> None:
         ("feetech", "arm.2.board_ports: expected a port for its [[board]]s (here /dev/ttyACM0) that no other arm"),
         ("cia402", "arm.2.file: expected an address of a cia402 (here 1) on can0 that no other arm of the cell has"),
     ],
-)  # fmt: skip
+)
 def test_two_arms_never_command_one_board(tmp_path: Path, kind: str, said: str) -> None:
     saved(tmp_path, kind)
     with pytest.raises(ArmFileError) as refused:

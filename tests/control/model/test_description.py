@@ -70,9 +70,7 @@ def test_an_index_pulse_of_the_default_arm_lies_half_a_motor_turn_above_its_swit
 
 
 def test_an_unknown_name_lists_the_names_that_ship() -> None:
-    with pytest.raises(
-        ArmFileError, match=r'"koch" or "left" or "right" or "so100" or "so101" or "widowx250"'
-    ):
+    with pytest.raises(ArmFileError, match=r'"koch" or "left" or "right" or "so100" or "so101" or "widowx250"'):
         load_arm("wright")
 
 
@@ -118,20 +116,8 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
     ("old", "new", "key", "expected", "got"),
     [
         ("d_m = -0.012", 'd_m = "x"', "d_m of [[link]] 3", "a finite number", "'x'"),
-        (
-            "joint_upper_rad = 0.8",
-            "joint_upper_rad = 45.8",
-            "joint_upper_rad of [[drive]] 2",
-            "four turns",
-            "45.8",
-        ),
-        (
-            "switch_rad = 0.1",
-            "switch_rad = 1.1",
-            "home.switch_rad of [[drive]] 2",
-            "within the joint's",
-            "1.1",
-        ),
+        ("joint_upper_rad = 0.8", "joint_upper_rad = 45.8", "joint_upper_rad of [[drive]] 2", "four turns", "45.8"),
+        ("switch_rad = 0.1", "switch_rad = 1.1", "home.switch_rad of [[drive]] 2", "within the joint's", "1.1"),
         ("d_m = -0.012", "d_m = nan", "d_m of [[link]] 3", "a finite number", "nan"),
         ("d_m = -0.012", "d_m = true", "d_m of [[link]] 3", "a finite number", "true"),
         ("d_m = -0.012", "d_mm = -12", "d_mm of [[link]] 3", "one of the keys", "an unknown key"),
@@ -140,91 +126,37 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
         ("alpha_rad = 0.0", "alpha_rad = 90.0", "alpha_rad of [[link]] 2", "within +-2 pi", "90.0"),
         ("gear_ratio = 120.0", "gear_ratio = 0", "gear_ratio of [[drive]] 2", "a positive", "0"),
         ("gear_ratio = 120.0", "gear_ratio = -1", "gear_ratio of [[drive]] 2", "a positive", "-1"),
-        (
-            "joint_upper_rad = 0.8",
-            "joint_upper_rad = -1.9",
-            "joint_upper_rad of [[drive]] 2",
-            "more than",
-            "-1.9",
-        ),
+        ("joint_upper_rad = 0.8", "joint_upper_rad = -1.9", "joint_upper_rad of [[drive]] 2", "more than", "-1.9"),
         ("joint_upper_rad = 0.8", "joint_upper_rad = inf", "joint_upper_rad of [[drive]] 2", "finite", "inf"),
-        (
-            "motor_node = 2",
-            "motor_node = 1",
-            "motor_node of [[drive]] 2",
-            "one joint per motor node",
-            "1 a second",
-        ),
+        ("motor_node = 2", "motor_node = 1", "motor_node of [[drive]] 2", "one joint per motor node", "1 a second"),
         ("motor_node = 2", "motor_node = 16", "motor_node of [[drive]] 2", "1 to 15", "16"),
-        (
-            "encoder_channel = 1",
-            "encoder_channel = 0",
-            "encoder_channel of [[drive]] 2",
-            "one joint per",
-            "second",
-        ),
+        ("encoder_channel = 1", "encoder_channel = 0", "encoder_channel of [[drive]] 2", "one joint per", "second"),
         ("encoder_channel = 1", "encoder_channel = 3", "encoder_channel of [[drive]] 2", "0, 1 or 2", "3"),
         ("encoder_channel = 1", "encoder_board = 1", "encoder_board of [[drive]] 2", "below 1", "1"),
         ("joint = 2\n", "joint = 4\n", "joint of [[drive]] 2", "from 1 to 3", "4"),
         ("joint = 2\n", "joint = 1\n", "joint of [[drive]] 2", "one [[drive]] per joint", "1 a second"),
         ("joint = 2\n", "joint = 2.0\n", "joint of [[drive]] 2", "whole number", "2.0"),
         ('mode = "voltage"', 'mode = "torque"', "pid.mode of [[drive]] 1", '"voltage" or', "'torque'"),
-        (
-            'joint = "fixed"',
-            'joint = "prismatic"',
-            "joint of [[link]] 4",
-            '"revolute" or "fixed"',
-            "prismatic",
-        ),
+        ('joint = "fixed"', 'joint = "prismatic"', "joint of [[link]] 4", '"revolute" or "fixed"', "prismatic"),
         ("[0.50, 0.0, 0.0]", "[0.50, 0.0]", "table.origin_m", "a list of 3", "2 of them"),
         ("[0.50, 0.0, 0.0]", "[0.5, 0.0, nan]", "table.origin_m[3]", "a finite number", "nan"),
         ("origin_m = [0.50, 0.0, 0.0]", "", "table.origin_m", "the board's position", "nothing"),
         ("circle_radius_m = 0.09", "", "table.circle_radius_m", "the circle's radius", "nothing"),
         ("0.20420352248333654", "11.7", "table.roll_tilt_rad", "within +-pi/2", "11.7"),
-        (
-            "[0.008, 0.008, 0.0006]",
-            "[0.008, 0.001, 0.001]",
-            "inertia_kg_m2 of [[link]] 3",
-            "principal",
-            "0.008",
-        ),
-        (
-            "[0.008, 0.008, 0.0006]",
-            "[0.1, -0.1, 0.1]",
-            "inertia_kg_m2[2] of [[link]] 3",
-            "not below 0",
-            "-0.1",
-        ),
+        ("[0.008, 0.008, 0.0006]", "[0.008, 0.001, 0.001]", "inertia_kg_m2 of [[link]] 3", "principal", "0.008"),
+        ("[0.008, 0.008, 0.0006]", "[0.1, -0.1, 0.1]", "inertia_kg_m2[2] of [[link]] 3", "not below 0", "-0.1"),
         ("q_rad = [0.0, 0.15, 0.75]", "q_rad = [0.0, 0.9, 0.75]", "rest.q_rad", "joint 2 within", "0.9"),
         ("q_rad = [0.0, 0.15, 0.75]", "q_rad = [0.0]", "rest.q_rad", "3 joint angles", "1 of them"),
         ("watchdog_s = 0.2", "watchdog_s = 9.0", "limits.watchdog_s", "from 0.005 to 1 s", "9.0"),
-        (
-            "following_error_rad = 0.05",
-            "following_error_rad = 100.0",
-            "limits.following_error_rad",
-            "up to 0.5 rad",
-            "100.0",
-        ),
+        ("following_error_rad = 0.05", "following_error_rad = 100.0", "limits.following_error_rad", "up to 0.5 rad", "100.0"),
         ("stale_s = 0.02", "stale_s = 2.0", "limits.stale_s", "up to 0.5 s", "2.0"),
         ('name = "right"', 'name = "../../up"', "name", "without / and", "'../../up'"),
         ('name = "right"', 'name = ".hidden"', "name", "does not begin with .", "'.hidden'"),
-        (
-            "[[link]]",
-            '[[link]]\njoint_name = "joint 2"',
-            "joint_name of [[link]] 1",
-            "not joint N",
-            "'joint 2'",
-        ),
+        ("[[link]]", '[[link]]\njoint_name = "joint 2"', "joint_name of [[link]] 1", "not joint N", "'joint 2'"),
         ("[[link]]", '[[link]]\nlink_name = "tip"', "link_name of [[link]] 1", "tip or world", "'tip'"),
         ("[camera]", "[camera]\nlens = 1", "camera.lens", "one of the keys", "an unknown key"),
         ("[camera]", '[camera]\nstream = { system = "vicon" }', "camera.stream.body", "text", "nothing"),
-        (
-            "[camera]",
-            '[camera]\nstream = { system = "x", body = "a" }',
-            "camera.stream.system",
-            '"vicon"',
-            "'x'",
-        ),
+        ("[camera]", '[camera]\nstream = { system = "x", body = "a" }', "camera.stream.system", '"vicon"', "'x'"),
         (
             "[camera]",
             '[camera]\nstream = { system = "vicon", body = "a", base_body = "a" }',
@@ -245,9 +177,7 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
         ('name = "right"', 'name = "right', "", "valid TOML", ""),
     ],
 )
-def test_an_error_names_line_key_expected_and_got(
-    old: str, new: str, key: str, expected: str, got: str
-) -> None:
+def test_an_error_names_line_key_expected_and_got(old: str, new: str, key: str, expected: str, got: str) -> None:
     text = _edited(old, new)
     error = _rejected(text)
     assert error.key == key
@@ -282,10 +212,7 @@ def test_a_table_in_place_of_a_list_of_tables_gets_the_remedy() -> None:
         ("", "a name"),
         ('name = "x"', "a list"),
         ('name = "x"\nlink = []', "at least one [[link]]"),
-        (
-            'name = "x"\n[[link]]\njoint = "fixed"\nd_m=0\ntheta_rad=0\nL_m=0\nalpha_rad=0',
-            'joint = "revolute"',
-        ),
+        ('name = "x"\n[[link]]\njoint = "fixed"\nd_m=0\ntheta_rad=0\nL_m=0\nalpha_rad=0', 'joint = "revolute"'),
     ],
 )
 def test_an_arm_needs_a_name_and_a_joint(text: str, expected: str) -> None:
@@ -311,17 +238,10 @@ EFFECT = '\n[[effect]]\neffect = "{}"\n{}\n'
         ("link_geometry", "parameters = { link5_d_m = 0.1 }", "parameters.link5_d_m", "a link from 1 to 4"),
         ("link_geometry", "parameters = { link1_q_m = 0.1 }", "parameters.link1_q_m", "link<i>_d_m"),
         ("link_inertia", "joint = 1\nparameters = { }", "parameters", "exactly one"),
-        (
-            "cogging",
-            "joint = 1\nparameters = { amplitude_Nm = 1, order = 7, phase_rad = 0, x = 1 }",
-            "parameters.x",
-            "one of",
-        ),
+        ("cogging", "joint = 1\nparameters = { amplitude_Nm = 1, order = 7, phase_rad = 0, x = 1 }", "parameters.x", "one of"),
     ],
 )
-def test_an_effect_that_formats_md_does_not_know_is_rejected(
-    name: str, rest: str, key: str, expected: str
-) -> None:
+def test_an_effect_that_formats_md_does_not_know_is_rejected(name: str, rest: str, key: str, expected: str) -> None:
     error = _rejected(RIGHT + EFFECT.format(name, rest))
     assert error.key == f"{key} of [[effect]] 1"
     assert expected in error.expected
@@ -345,10 +265,7 @@ def _calibrated() -> tuple[Calibration, np.ndarray]:
 
 def test_a_saved_arm_is_read_back_exactly(tmp_path: Path) -> None:
     made, dh = _calibrated()
-    effects = (
-        Effect("belt_coupling", None, {"ratio": 0.1 + 0.2}),
-        Effect("backlash", 2, {"width_rad": 1e-3}),
-    )
+    effects = (Effect("belt_coupling", None, {"ratio": 0.1 + 0.2}), Effect("backlash", 2, {"width_rad": 1e-3}))
     arm = dataclasses.replace(load_arm("right").with_dh(dh), calibration=made, effects=effects)
     save_arm(arm, tmp_path / "new.toml")
     again = load_arm(tmp_path / "new.toml")

@@ -48,16 +48,11 @@ def test_friction_opposes_motion_and_vanishes_at_rest() -> None:
 
 def test_a_law_is_the_same_of_floats_and_of_arrays() -> None:
     speeds = np.linspace(-0.5, 0.5, 7)
-    for effect, parameters in {
-        **FRICTIONS,
-        "cogging": {"amplitude_Nm": 0.1, "order": 7.0, "phase_rad": 0.4},
-    }.items():
+    for effect, parameters in {**FRICTIONS, "cogging": {"amplitude_Nm": 0.1, "order": 7.0, "phase_rad": 0.4}}.items():
         law = EFFECTS[effect].torque
         assert law is not None
         each = [law(parameters, math)(0.3, v, -4.0) for v in speeds.tolist()]
-        assert law(parameters, np)(0.3 * np.ones(7), speeds, -4.0 * np.ones(7)) == pytest.approx(
-            np.array(each)
-        )
+        assert law(parameters, np)(0.3 * np.ones(7), speeds, -4.0 * np.ones(7)) == pytest.approx(np.array(each))
 
 
 def test_slow_motion_has_all_its_friction() -> None:
@@ -80,12 +75,7 @@ def test_the_joint_is_where_formats_md_says_behind_its_encoder() -> None:
     ("effect", "one", "other", "both"),
     [
         ("backlash", {"width_rad": 0.003}, {"width_rad": 0.002}, {"width_rad": 0.005}),
-        (
-            "joint_compliance",
-            {"stiffness_Nm_rad": 600.0},
-            {"stiffness_Nm_rad": 300.0},
-            {"stiffness_Nm_rad": 200.0},
-        ),
+        ("joint_compliance", {"stiffness_Nm_rad": 600.0}, {"stiffness_Nm_rad": 300.0}, {"stiffness_Nm_rad": 200.0}),
         ("torque_constant", {"scale": 0.96}, {"scale": 0.95}, {"scale": 0.91}),
         ("link_flexure", {"EI_Nm2": 200.0}, {"EI_Nm2": 200.0}, {"EI_Nm2": 100.0}),
         (
@@ -95,12 +85,7 @@ def test_the_joint_is_where_formats_md_says_behind_its_encoder() -> None:
             {"amplitude_Nm": 0.5, "order": 7.0, "phase_rad": math.atan2(4.0, 3.0)},
         ),
         ("link_inertia", {"mass_kg": 0.1}, {"mass_kg": 0.2}, {"mass_kg": 0.3}),
-        (
-            "stribeck_friction",
-            STRIBECK,
-            {"torque_Nm": 2.0, "speed_rad_s": 0.2},
-            {"torque_Nm": 2.0, "speed_rad_s": 0.2},
-        ),
+        ("stribeck_friction", STRIBECK, {"torque_Nm": 2.0, "speed_rad_s": 0.2}, {"torque_Nm": 2.0, "speed_rad_s": 0.2}),
     ],
 )
 def test_two_effects_of_a_kind_are_one(

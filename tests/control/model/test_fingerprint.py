@@ -17,14 +17,7 @@ from control.model.camera import CameraStream
 from control.model.cell import load_cell
 from control.model.description import arm_text, load_arm, parse_arm
 from control.model.end_effector import Digital, Gripper
-from control.model.fingerprint import (
-    NOT_COMPARED,
-    AnotherArm,
-    content_of,
-    fingerprint,
-    places_of,
-    require_same,
-)
+from control.model.fingerprint import NOT_COMPARED, AnotherArm, content_of, fingerprint, places_of, require_same
 from control.model.maps import CorrectionMap
 from control.model.reader import keys_of
 
@@ -83,9 +76,7 @@ def test_every_key_is_compared_or_named_as_one_that_is_not() -> None:
 def test_the_page_names_every_key_that_is_not_compared() -> None:
     (section,) = re.findall(r"## Whose arm\n(.*?)\n## ", PAGE, re.DOTALL)
     named = set(re.findall(r"`([\w.]+)`", section))
-    assert {key.rpartition(".")[2] for key in NOT_COMPARED} - {
-        key.rpartition(".")[2] for key in named
-    } == set()
+    assert {key.rpartition(".")[2] for key in NOT_COMPARED} - {key.rpartition(".")[2] for key in named} == set()
 
 
 @pytest.mark.parametrize("arm", [FULL, SIX, load_arm("right")], ids=lambda arm: arm.name)
@@ -110,15 +101,10 @@ def test_a_difference_names_the_key_and_both_values_and_the_way_out() -> None:
     with pytest.raises(AnotherArm) as error:
         require_same(replace(FULL, links=links, path=Path("my.toml")), theirs)
     assert f"link 2, L_m: {FULL.links[1].L_m:g}, in my.toml 0.35" in str(error.value)
-    assert (
-        "another arm than my.toml: start it with this file, or give the one that it has (/etc/arm.toml)"
-        in str(error.value)
-    )
+    assert "another arm than my.toml: start it with this file, or give the one that it has (/etc/arm.toml)" in str(error.value)
     with pytest.raises(AnotherArm, match=r"^/etc/arm.toml has changed since the runtime read it"):
         require_same(replace(FULL, links=links, path=Path("/etc/arm.toml")), theirs)
-    with pytest.raises(
-        AnotherArm, match=r"effect backlash of joint 2, parameters, width_rad: 0.001, in my.toml nothing"
-    ):
+    with pytest.raises(AnotherArm, match=r"effect backlash of joint 2, parameters, width_rad: 0.001, in my.toml nothing"):
         require_same(replace(FULL, effects=FULL.effects[1:], path=Path("my.toml")), theirs)
 
 

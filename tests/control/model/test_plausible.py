@@ -39,10 +39,8 @@ FILE = Path("my_arm.toml")
         ("backoff_rad = 0.05", "backoff_rad = 3", "home.backoff_rad of [[drive]] 1", "degrees: write 0.0523599"),
         ("q_rad = [0.0, 0.15, 0.75]", "q_rad = [0.0, 8.6, 43]", "rest.q_rad[3]", "degrees: write 0.750492"),
     ],
-)  # fmt: skip
-def test_a_value_in_another_unit_is_refused_with_what_it_looks_like(
-    old: str, new: str, key: str, looks_like: str
-) -> None:
+)
+def test_a_value_in_another_unit_is_refused_with_what_it_looks_like(old: str, new: str, key: str, looks_like: str) -> None:
     assert old in RIGHT
     with pytest.raises(ArmFileError) as caught:
         parse_arm(RIGHT.replace(old, new, 1), FILE)
@@ -68,20 +66,42 @@ def a_robot(lengths: tuple[float, ...], kg: tuple[float, ...], drive: Drive | No
         Link("revolute", 0.0, 0.0, length, 1.5707963, mass, (0.5 * length, 0.0, 0.0), (1e-6, 1e-6, 1e-6))
         for length, mass in zip(lengths, kg, strict=True)
     )
-    drives = () if drive is None else tuple(dataclasses.replace(drive, joint=j, motor_node=j, encoder_board=(j - 1) // 3,
-                                        encoder_channel=(j - 1) % 3) for j in range(1, len(links) + 1))  # fmt: skip
+    drives = (
+        ()
+        if drive is None
+        else tuple(
+            dataclasses.replace(drive, joint=j, motor_node=j, encoder_board=(j - 1) // 3, encoder_channel=(j - 1) % 3)
+            for j in range(1, len(links) + 1)
+        )
+    )
     return Arm("plausible", links, drives=drives, tool=Tool((tool, 0.0, 0.0)))
 
 
 HOBBY = Drive(1, 300.0, 28, 0.003, 8.0, 6.0, current_limit_A=0.6, joint_speed_limit_rad_s=6.0)
 HEAVY = Drive(
-    1, 240.0, 8192, 1.6, 0.1, 400.0, rotor_inertia_kg_m2=0.05, current_limit_A=120.0,
-    joint_speed_limit_rad_s=1.5, joint_acceleration_limit_rad_s2=20.0,
-)  # fmt: skip
+    1,
+    240.0,
+    8192,
+    1.6,
+    0.1,
+    400.0,
+    rotor_inertia_kg_m2=0.05,
+    current_limit_A=120.0,
+    joint_speed_limit_rad_s=1.5,
+    joint_acceleration_limit_rad_s2=20.0,
+)
 QUICK = Drive(
-    1, 50.0, 4096, 0.05, 0.4, 48.0, rotor_inertia_kg_m2=1e-5, current_limit_A=15.0,
-    joint_speed_limit_rad_s=15.0, joint_acceleration_limit_rad_s2=600.0,
-)  # fmt: skip
+    1,
+    50.0,
+    4096,
+    0.05,
+    0.4,
+    48.0,
+    rotor_inertia_kg_m2=1e-5,
+    current_limit_A=15.0,
+    joint_speed_limit_rad_s=15.0,
+    joint_acceleration_limit_rad_s2=600.0,
+)
 DIRECT = Drive(1, 1.0, 65536, 8.0, 2.0, 48.0, current_limit_A=10.0, joint_speed_limit_rad_s=6.0)
 
 ON_JOINT = Drive(1, 1.0, 6283185, 35.2, 1.0, 1000.0, rotor_inertia_kg_m2=47.6, current_limit_A=10.0)
@@ -94,13 +114,12 @@ def test_a_column_that_no_joint_lifts_may_be_heavy_and_a_tilted_one_not(conventi
     links = tuple(
         Link("revolute", height, 0.0, length, alpha, mass)
         for height, length, alpha, mass in (
-            (1.0, 0.0, 0.0, 8.0), (1.5, 0.0, 1.5707963 if convention == "standard" else 0.0, 8.0),
+            (1.0, 0.0, 0.0, 8.0),
+            (1.5, 0.0, 1.5707963 if convention == "standard" else 0.0, 8.0),
             (0.0, 0.05, 0.0 if convention == "standard" else 1.5707963, 0.02),
         )
-    )  # fmt: skip
-    drives = tuple(
-        dataclasses.replace(HOBBY, joint=j, motor_node=j, encoder_channel=j - 1) for j in (1, 2, 3)
     )
+    drives = tuple(dataclasses.replace(HOBBY, joint=j, motor_node=j, encoder_channel=j - 1) for j in (1, 2, 3))
     arm = Arm("column", links, drives=drives, dh_convention=convention)  # type: ignore[arg-type]
     assert parse_arm(arm_text(arm), FILE).joint_count == 3
     lifted = dataclasses.replace(arm, links=(*links[:2], dataclasses.replace(links[2], mass_kg=500.0)))
@@ -123,7 +142,7 @@ def test_a_column_that_no_joint_lifts_may_be_heavy_and_a_tilted_one_not(conventi
         pytest.param(a_robot((0.05,), (0.2,), BENCH), id="a motor on a bench"),
         pytest.param(a_robot((0.0, 0.0), (20.0, 8.0), None), id="pan and tilt"),
     ],
-)  # fmt: skip
+)
 def test_no_false_alarm_on_plausible_arms(arm: Arm) -> None:
     assert parse_arm(arm_text(arm), FILE) == arm
 

@@ -22,9 +22,7 @@ def test_points_1_to_24_run_counter_clockwise_from_the_boards_x_axis():
 
 def test_points_25_to_33_run_along_x_from_minus_to_plus_80_mm():
     cavities = tables.cavities(BOARD)
-    assert [cavities[str(n)] for n in range(25, 34)] == [
-        pytest.approx((0.42 + 0.02 * i, 0.0, 0.0)) for i in range(9)
-    ]
+    assert [cavities[str(n)] for n in range(25, 34)] == [pytest.approx((0.42 + 0.02 * i, 0.0, 0.0)) for i in range(9)]
 
 
 def test_a_positive_roll_lifts_the_boards_left_side_and_leaves_its_x_axis():
@@ -54,9 +52,7 @@ def test_every_setup_is_a_rotation_about_the_boards_centre(setup):
 def test_named_cavities_stand_in_the_boards_frame_and_tilt_with_it():
     board = Table(origin_m=(0.5, 0.0, 0.1), roll_tilt_rad=0.2, cavities_m={"hole": (0.0, 0.1, 0.0)})
     assert tables.cavities(board) == {"hole": (0.5, 0.1, 0.1)}
-    assert tables.cavities(board, "roll")["hole"] == pytest.approx(
-        (0.5, 0.1 * math.cos(0.2), 0.1 + 0.1 * math.sin(0.2))
-    )
+    assert tables.cavities(board, "roll")["hole"] == pytest.approx((0.5, 0.1 * math.cos(0.2), 0.1 + 0.1 * math.sin(0.2)))
 
 
 def test_a_board_whose_pose_is_unknown_has_cavities_in_its_own_frame_only():

@@ -69,9 +69,7 @@ def test_the_tip_is_that_of_the_tool_that_is_on() -> None:
 def test_the_mass_of_the_tool_that_is_on_is_in_the_dynamics() -> None:
     """A point mass at its centre is what a payload at a tip there would be."""
     point = dataclasses.replace(RIGHT, tool=Tool(PEN.centre_m))
-    assert Dynamics(TWO).inverse(*STATE) == pytest.approx(
-        Dynamics(point, PEN.mass_kg).inverse(*STATE), abs=1e-12
-    )
+    assert Dynamics(TWO).inverse(*STATE) == pytest.approx(Dynamics(point, PEN.mass_kg).inverse(*STATE), abs=1e-12)
 
 
 def test_masses_follow_a_change_of_tool_at_the_given_rate() -> None:
@@ -88,6 +86,4 @@ def test_masses_follow_a_change_of_tool_at_the_given_rate() -> None:
     assert loads.masses_kg == {CUP.position_m: 1.6}
     bare = dataclasses.replace(RIGHT, tool=Tool(CUP.position_m))
     laden, empty = Dynamics(bare, 1.6).inverse(*STATE), Dynamics(bare).inverse(*STATE)
-    assert loads.torques(*STATE) == pytest.approx(
-        [w - e for w, e in zip(laden, empty, strict=True)], abs=1e-9
-    )
+    assert loads.torques(*STATE) == pytest.approx([w - e for w, e in zip(laden, empty, strict=True)], abs=1e-9)

@@ -6,18 +6,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from benchmarks.arms import (
-    ARMS,
-    FIVE,
-    FOUR,
-    SEVEN,
-    SIX,
-    TWO,
-    arm_of,
-    circle_in_place,
-    tip_of,
-    turned_in_place,
-)
+from benchmarks.arms import ARMS, FIVE, FOUR, SEVEN, SIX, TWO, arm_of, circle_in_place, tip_of, turned_in_place
 from control.errors import ArmError, PathError
 from control.kinematics import rotation
 from control.kinematics.inverse import InverseKinematics
@@ -38,9 +27,7 @@ def sampled(path: JointPath, count: int = 1500) -> tuple[np.ndarray, np.ndarray,
 
 
 @pytest.mark.parametrize(("arm", "speed"), [(FOUR, None), (FIVE, 0.15), (SIX, 0.15), (SEVEN, None)])
-def test_the_tip_stays_within_a_micrometre_of_the_cubic_and_the_joints_within_their_limits(
-    arm: Arm, speed: float | None
-) -> None:
+def test_the_tip_stays_within_a_micrometre_of_the_cubic_and_the_joints_within_their_limits(arm: Arm, speed: float | None) -> None:
     planned = plan_path(arm, circle_in_place(arm), speed, q_near_rad=arm.rest.q_rad if arm.rest else None)
     path, limits = planned.joints, JointLimits.of(arm)
     times_s, q, _, _ = sampled(path)
@@ -94,13 +81,9 @@ def test_free_joints_stay_near_and_the_same_path_gives_the_same_postures() -> No
 
 
 def test_free_joints_leave_the_outer_fifth_of_their_range() -> None:
-    near_limit = replace(
-        SEVEN, drives=tuple(replace(d, joint_upper_rad=0.65 if d.joint == 2 else 2.6) for d in SEVEN.drives)
-    )
+    near_limit = replace(SEVEN, drives=tuple(replace(d, joint_upper_rad=0.65 if d.joint == 2 else 2.6) for d in SEVEN.drives))
     assert SEVEN.rest is not None
-    _, q, _, _ = sampled(
-        plan_path(near_limit, circle_in_place(SEVEN), 0.1, q_near_rad=SEVEN.rest.q_rad).joints
-    )
+    _, q, _, _ = sampled(plan_path(near_limit, circle_in_place(SEVEN), 0.1, q_near_rad=SEVEN.rest.q_rad).joints)
     assert q[:, 1].max() <= 0.65
     assert q[-1, 1] < q[0, 1]
 
@@ -140,9 +123,7 @@ def test_near_a_singular_pose_the_path_is_slowed() -> None:
 def test_two_joints_follow_the_surface_that_they_reach_and_refuse_to_leave_it() -> None:
     assert TWO.rest is not None
     start = np.array(TWO.rest.q_rad)
-    taught = [
-        ForwardKinematics(TWO).tip(*(start + share * np.array([0.5, 0.3]))) for share in np.linspace(0, 1, 6)
-    ]
+    taught = [ForwardKinematics(TWO).tip(*(start + share * np.array([0.5, 0.3]))) for share in np.linspace(0, 1, 6)]
     planned = plan_path(TWO, taught, 0.1)
     times_s, q, _, _ = sampled(planned.joints)
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
@@ -204,9 +185,7 @@ def test_between_two_way_points_the_orientation_is_slerp_from_rest_to_rest() -> 
 def test_angular_velocity_is_continuous_and_with_its_acceleration_fits_the_rotation() -> None:
     rng = np.random.default_rng(0)
     turned = rotation.quaternions(rotation.exponentials(rng.uniform(-1, 1, (4, 3))))
-    spline = OrientationSpline(
-        (0.0, 1.0, 2.5, 3.0), [tuple(q) for q in turned.tolist()], (True, False, False, True)
-    )
+    spline = OrientationSpline((0.0, 1.0, 2.5, 3.0), [tuple(q) for q in turned.tolist()], (True, False, False, True))
     section, into, h = np.array([0, 1, 2]), np.array([0.4, 0.7, 0.2]), 1e-5
     here, after, before = (spline.sample(section, into + k * h) for k in (0, 1, -1))
     omega = rotation.logarithms(after.rotation @ np.swapaxes(before.rotation, 1, 2)) / (2 * h)
@@ -226,7 +205,4 @@ def test_a_third_joint_that_does_not_move_the_tip_leaves_it_its_surface() -> Non
     taught = [np.round(kinematics.tip(*(np.array(rest) + 0.1 * k)), 6).tolist() for k in range(3)]
     planned = plan_path(arm, taught, 0.1)
     assert np.abs(kinematics.tips(np.array(planned.q_waypoints_rad)) - taught).max() < 1e-4
-    assert (
-        np.abs(kinematics.tip(*InverseKinematics(arm).nearest(taught[1], rest)) - np.array(taught[1])).max()
-        < 1e-4
-    )
+    assert np.abs(kinematics.tip(*InverseKinematics(arm).nearest(taught[1], rest)) - np.array(taught[1])).max() < 1e-4

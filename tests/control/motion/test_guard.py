@@ -60,9 +60,7 @@ def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> N
 
 
 @pytest.mark.parametrize("arm", [with_limits(base_radius_m=0.06), SIX, SEVEN], ids=lambda arm: arm.name)
-def test_a_set_point_is_refused_as_if_the_guard_remembered_no_pose_that_was_far_from_everything(
-    arm: Arm,
-) -> None:
+def test_a_set_point_is_refused_as_if_the_guard_remembered_no_pose_that_was_far_from_everything(arm: Arm) -> None:
     guard, start = Guard(arm, JointLimits.of(arm)), (0.0,) * arm.joint_count
     here = next(tuple(q) for q in walk(arm, start, 0.3, seed=2) if guard.clearance(tuple(q)).distance_m > 0.0)
     refused, count = 0, 4000
@@ -115,14 +113,9 @@ def height_m(x: float, y: float, z: float, where: Workspace) -> float:
 def test_the_floor_counts_beside_the_board_and_the_tilted_board_over_it() -> None:
     where = workspace(tolerance_m=0.0, base_radius_m=0.0)
     assert height_m(0.3, 0.4, -0.05, where) == pytest.approx(-0.05)
-    assert (
-        where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.05)], THIN).what
-        == "the tip would be below the floor or table"
-    )
+    assert where.clearance([(0.3, 0.4, 0.9), (0.3, 0.4, -0.05)], THIN).what == "the tip would be below the floor or table"
     slope = math.tan(RIGHT.table.roll_tilt_rad)
-    assert height_m(0.5, -0.09, -0.05, where) == pytest.approx(
-        -0.05 + 0.09 * slope
-    )  # tilted away from the arm's tip
+    assert height_m(0.5, -0.09, -0.05, where) == pytest.approx(-0.05 + 0.09 * slope)  # tilted away from the arm's tip
     assert height_m(0.5, 0.0, -0.05, where) == pytest.approx(-0.05)
     assert height_m(0.5, -0.13, -0.05, where) == pytest.approx(-0.05)  # beyond the board
 
@@ -181,13 +174,9 @@ def thick(radius_m: float, arm: Any = RIGHT) -> Any:
 def test_a_link_is_as_thick_as_its_radius_says_and_the_tip_is_a_point() -> None:
     where, body = workspace(tolerance_m=0.0, base_radius_m=0.06, board=None), LinkThickness((0.0, 0.02, 0.04))
     upright = [(0.4, 0.0, 0.9), (0.4, 0.0, 0.5), (0.4, 0.0, -0.01)]
-    assert where.clearance(upright, body).distance_m == pytest.approx(
-        -0.01
-    )  # the tip may touch, so it has no radius
+    assert where.clearance(upright, body).distance_m == pytest.approx(-0.01)  # the tip may touch, so it has no radius
     elbow_low = [(0.4, 0.0, 0.9), (0.4, 0.0, 0.03), (0.4, 0.0, 0.9)]
-    assert where.clearance(elbow_low, body).distance_m == pytest.approx(
-        0.03 - 0.04
-    )  # the thicker of both links
+    assert where.clearance(elbow_low, body).distance_m == pytest.approx(0.03 - 0.04)  # the thicker of both links
     forearm = where.clearance([(0.4, 0.0, 0.9), (0.4, 0.0, 0.05), (0.5, 0.0, -0.001)], body)
     assert forearm.distance_m == pytest.approx(0.05 - 0.75 * 0.051 - 0.04)  # a quarter before the tip
     beside = [(0.0, 0.115, 0.4), (0.0, 0.115, 0.07), (0.5, 0.115, 0.3)]
@@ -216,18 +205,14 @@ def moved(guard: Guard, start: tuple[float, ...], end: tuple[float, ...]) -> Non
 def test_a_joint_move_is_refused_by_what_lies_on_its_way_and_not_only_at_its_end() -> None:
     guard = Guard(RIGHT, LIMITS)
     moved(guard, (0.0, 0.15, 0.75), (1.0, -0.9, -0.25))
-    with pytest.raises(
-        MotionError, match=r"the tip would be below the floor or table, 0\.\d+ m deeper than allowed"
-    ):
+    with pytest.raises(MotionError, match=r"the tip would be below the floor or table, 0\.\d+ m deeper than allowed"):
         moved(guard, (0.0, 0.15, 0.75), (0.0, -1.9, -0.6))
     with pytest.raises(MotionError, match=r"after .* s; nothing was moved"):
         moved(guard, (0.0, -0.9, -0.3), (0.0, -1.1, -1.2))
 
 
 def test_an_arm_that_is_too_low_may_come_up_but_goes_no_deeper() -> None:
-    guard = Guard(
-        replace(with_limits(floor_z_m=0.5), table=None), LIMITS
-    )  # a floor that was raised by mistake
+    guard = Guard(replace(with_limits(floor_z_m=0.5), table=None), LIMITS)  # a floor that was raised by mistake
     low, lower, high = (0.0, -0.6, 0.2), (0.0, -0.7, 0.2), (0.0, -0.2, 0.2)
     assert guard.clearance(low).distance_m < 0.0
     moved(guard, low, high)
@@ -240,9 +225,7 @@ def test_an_arm_that_is_too_low_may_come_up_but_goes_no_deeper() -> None:
     assert "below the floor" in guard.objection(lower, low)
 
 
-def test_a_motion_that_begins_inside_is_refused_for_a_dip_between_the_poses_that_others_are_checked_at() -> (
-    None
-):
+def test_a_motion_that_begins_inside_is_refused_for_a_dip_between_the_poses_that_others_are_checked_at() -> None:
     """A joint move whose tip first sinks by half a millimetre, and comes out later."""
     guard = Guard(replace(with_limits(floor_z_m=0.5), table=None), LIMITS)
     start, end = (0.0, -0.6, 0.2), (0.0, -0.2, -0.4)
@@ -253,9 +236,7 @@ def test_a_motion_that_begins_inside_is_refused_for_a_dip_between_the_poses_that
     with pytest.raises(MotionError, match="The arm begins inside: jog it out first"):
         guard.require_rising(move)
     guard.require_rising(JointMove(start, (0.0, -0.2, 0.2), LIMITS))
-    Guard(RIGHT, LIMITS).require_rising(
-        JointMove((0.0, 0.15, 0.75), (0.0, -1.9, -0.6), LIMITS)
-    )  # begins outside
+    Guard(RIGHT, LIMITS).require_rising(JointMove((0.0, 0.15, 0.75), (0.0, -1.9, -0.6), LIMITS))  # begins outside
 
 
 def test_a_stop_takes_as_far_as_its_closed_form_says() -> None:
@@ -266,9 +247,7 @@ def test_a_stop_takes_as_far_as_its_closed_form_says() -> None:
         if speed * acceleration < 0.0 and abs(speed) < acceleration**2 / 400.0:
             continue  # it would turn back: the closed form says where it stands still first
         stop = StopMotion(SetPoint((0.0,), (speed,), (acceleration,)), endless)
-        assert stopping_distance(speed, acceleration, 10.0, 200.0) == pytest.approx(
-            stop.at(9.0).q_rad[0], abs=1e-9
-        )
+        assert stopping_distance(speed, acceleration, 10.0, 200.0) == pytest.approx(stop.at(9.0).q_rad[0], abs=1e-9)
         compared += 1
     assert compared > 200
     assert stopping_distance(0.0, 0.0, 10.0, 200.0) == 0.0
@@ -311,9 +290,7 @@ def test_where_no_stop_is_free_the_least_deep_one_is_taken() -> None:
     guard, state, floor_m, depth_m = next(dipping_states(3))
     deep = with_floor_at(guard, floor_m + 0.3)
     stop = deep.stop_from(state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)))
-    plain = StopMotion(
-        state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)), LIMITS
-    )
+    plain = StopMotion(state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)), LIMITS)
     assert depth_m > 0.0
     assert lowest_m(guard, stop) > lowest_m(guard, plain)
 

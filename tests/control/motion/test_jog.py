@@ -20,8 +20,7 @@ from tests.thirds import third_of
 
 ARM = load_arm("right")
 ANYWHERE = Guard(  # neither floor nor table nor base: what they do is in tests/control/loop/test_workspace.py
-    replace(ARM, table=None, limits=replace(ARM.limits, floor_z_m=-9.0, base_radius_m=0.0)),
-    JointLimits.of(ARM),
+    replace(ARM, table=None, limits=replace(ARM.limits, floor_z_m=-9.0, base_radius_m=0.0)), JointLimits.of(ARM)
 )
 INVERSE = InverseKinematics(ARM)
 TIP = INVERSE.kinematics.tip
@@ -30,10 +29,7 @@ PERIOD_S = 0.002
 OVER_TABLE = INVERSE.nearest((0.5, 0.0, 0.1), (0.0, -0.6, 0.2))
 GUARDS = [
     SetPointLimits(
-        d.joint_lower_rad,
-        d.joint_upper_rad,
-        1.05 * d.joint_speed_limit_rad_s,
-        1.05 * d.joint_acceleration_limit_rad_s2,
+        d.joint_lower_rad, d.joint_upper_rad, 1.05 * d.joint_speed_limit_rad_s, 1.05 * d.joint_acceleration_limit_rad_s2
     )
     for d in ARM.drives
 ]
@@ -60,13 +56,9 @@ class Hand:
                 self.jogging.renew(self.now_s)
             wanted = self.jogging.advance(self.now_s, PERIOD_S, self.state)
             if self.is_homed:
-                allowed = limit_set_point(
-                    wanted.q_rad, self.state.q_rad, self.state.speed_rad_s, self.guards, PERIOD_S
-                )
+                allowed = limit_set_point(wanted.q_rad, self.state.q_rad, self.state.speed_rad_s, self.guards, PERIOD_S)
                 assert not allowed.reasons, (self.now_s, allowed.reasons)
-                for v, before, guard in zip(
-                    wanted.speed_rad_s, self.state.speed_rad_s, self.guards, strict=True
-                ):
+                for v, before, guard in zip(wanted.speed_rad_s, self.state.speed_rad_s, self.guards, strict=True):
                     assert abs(v - before) / PERIOD_S <= guard.acceleration_rad_s2 + 1e-6, self.now_s
             self.state = wanted
             self.states.append(wanted)

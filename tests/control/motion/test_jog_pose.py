@@ -39,11 +39,10 @@ class Hand:
         self.state = at_rest(tuple(q_rad or arm.rest.q_rad))
         self.guards = [
             SetPointLimits(
-                d.joint_lower_rad, d.joint_upper_rad, 1.05 * d.joint_speed_limit_rad_s,
-                1.05 * d.joint_acceleration_limit_rad_s2,
+                d.joint_lower_rad, d.joint_upper_rad, 1.05 * d.joint_speed_limit_rad_s, 1.05 * d.joint_acceleration_limit_rad_s2
             )
             for d in arm.drives
-        ]  # fmt: skip
+        ]
         self.now_s = 0.0
         self.states: list[SetPoint] = [self.state]
 
@@ -57,9 +56,7 @@ class Hand:
             if renews and cycle % 50 == 0:
                 self.jogging.ask(self.now_s, self.request, self.state)
             wanted = self.jogging.advance(self.now_s, PERIOD_S, self.state)
-            allowed = limit_set_point(
-                wanted.q_rad, self.state.q_rad, self.state.speed_rad_s, self.guards, PERIOD_S
-            )
+            allowed = limit_set_point(wanted.q_rad, self.state.q_rad, self.state.speed_rad_s, self.guards, PERIOD_S)
             assert not allowed.reasons, (self.now_s, allowed.reasons)
             self.state = wanted
             self.states.append(wanted)
@@ -178,9 +175,7 @@ def test_through_a_singular_pose_the_jog_is_slowed_and_goes_on() -> None:
 
 
 def test_at_the_end_of_a_range_the_arm_comes_to_rest_inside_and_can_go_back() -> None:
-    short = replace(
-        SIX, drives=tuple(replace(d, joint_lower_rad=-0.5) if d.joint == 3 else d for d in SIX.drives)
-    )
+    short = replace(SIX, drives=tuple(replace(d, joint_lower_rad=-0.5) if d.joint == 3 else d for d in SIX.drives))
     hand = Hand(short)
     hand.ask(TipVelocity((-0.15, 0.0, 0.0)))
     hand.hold(2.5)

@@ -69,9 +69,7 @@ def test_a_speed_fraction_makes_the_same_motion_in_that_much_more_time(fraction)
     full, slow = JointMove(START, END, LIMITS), JointMove(START, END, LIMITS, fraction)
     assert slow.duration_s == pytest.approx(full.duration_s / fraction, rel=1e-6)
     for share in (0.2, 0.5, 0.9):
-        assert slow.at(share * slow.duration_s).q_rad == pytest.approx(
-            full.at(share * full.duration_s).q_rad, abs=1e-6
-        )
+        assert slow.at(share * slow.duration_s).q_rad == pytest.approx(full.at(share * full.duration_s).q_rad, abs=1e-6)
 
 
 @pytest.mark.parametrize("fraction", [0.0, -0.5, math.nextafter(1.0, 2.0), math.nan])
@@ -112,9 +110,7 @@ def test_times_outside_are_clamped():
     assert move.at(1e6) == at_rest(END)
 
 
-@pytest.mark.parametrize(
-    ("joint", "q", "excess"), [(0, 2.7, "0.1000"), (1, -2.0, "0.1000"), (2, 1.5001, "0.0001")]
-)
+@pytest.mark.parametrize(("joint", "q", "excess"), [(0, 2.7, "0.1000"), (1, -2.0, "0.1000"), (2, 1.5001, "0.0001")])
 def test_a_target_out_of_range_names_the_joint_and_by_how_much(joint, q, excess):
     target = list(END)
     target[joint] = q
@@ -210,10 +206,7 @@ def test_what_cannot_stop_in_time_stops_as_hard_as_it_may_and_says_how_far_it_go
 def test_any_move_interrupted_anywhere_stops_inside_the_range():
     numbers = random.Random(2)
     for _ in range(200):
-        ends = [
-            [numbers.uniform(lo, hi) for lo, hi in zip(LIMITS.lower_rad, LIMITS.upper_rad, strict=True)]
-            for _ in "ab"
-        ]
+        ends = [[numbers.uniform(lo, hi) for lo, hi in zip(LIMITS.lower_rad, LIMITS.upper_rad, strict=True)] for _ in "ab"]
         move = JointMove(ends[0], ends[1], LIMITS)
         stop = StopMotion(move.at(numbers.uniform(0.0, move.duration_s)), LIMITS)
         assert stop.overshoot_rad == (0.0, 0.0, 0.0)

@@ -72,9 +72,7 @@ def test_a_message_survives_json_and_going_back_in_time_gives_the_same_set_point
     again = JointPath.from_message(json.loads(json.dumps(path().to_message())))
     forth = [path().at(0.01 * k) for k in range(201)]
     back = [again.at(0.01 * k) for k in range(200, -1, -1)]
-    np.testing.assert_allclose(
-        back[::-1], forth, atol=1e-5
-    )  # of accelerations: 1e-10 rad at knots 50 ms apart
+    np.testing.assert_allclose(back[::-1], forth, atol=1e-5)  # of accelerations: 1e-10 rad at knots 50 ms apart
 
 
 @pytest.mark.parametrize(
@@ -86,8 +84,12 @@ def test_a_message_survives_json_and_going_back_in_time_gives_the_same_set_point
         ({"q_rad": [[0.0, 0.0], [0.0], [0.0, 0.0]]}, "expected 2 joints in every knot"),
         ({"q_rad": [[0.0, 0.0], [math.nan, 0.0], [0.0, 0.0]]}, "finite"),
         ({"speed_rad_s": [[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]]}, "at rest"),
-        ({"times_s": [0.0, 1.0, 1.0, 2.0]} | dict.fromkeys(("speed_rad_s", "acceleration_rad_s2"), [[0.0, 0.0]] * 4)
-         | {"q_rad": [[0.0, 0.0], [0.0, 0.0], [0.1, 0.0], [0.0, 0.0]]}, "one angle and speed"),
+        (
+            {"times_s": [0.0, 1.0, 1.0, 2.0]}
+            | dict.fromkeys(("speed_rad_s", "acceleration_rad_s2"), [[0.0, 0.0]] * 4)
+            | {"q_rad": [[0.0, 0.0], [0.0, 0.0], [0.1, 0.0], [0.0, 0.0]]},
+            "one angle and speed",
+        ),
         ({"q_rad": None}, "expected what"),
         ({"q_rad": []}, "expected what"),
         ({"q_rad": [[10**400, 0.0]] * 3}, "expected what"),
@@ -95,12 +97,9 @@ def test_a_message_survives_json_and_going_back_in_time_gives_the_same_set_point
         ({"times_s": [[0.0], [1.0], [2.0]]}, "expected what"),
         ({"times_s": 5.0}, "expected what"),
         ({"q_rad": [[], [], []], "speed_rad_s": [[], [], []], "acceleration_rad_s2": [[], [], []]}, "some joints"),
-        (
-            {"times_s": [0.0], "q_rad": [[0.0]], "speed_rad_s": [[0.0]], "acceleration_rad_s2": [[0.0]]},
-            "2 to 10000 knots",
-        ),
+        ({"times_s": [0.0], "q_rad": [[0.0]], "speed_rad_s": [[0.0]], "acceleration_rad_s2": [[0.0]]}, "2 to 10000 knots"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_path_is_refused_in_words(change: dict[str, object], says: str) -> None:
     zeros = [[0.0, 0.0]] * 3
     message = {"times_s": [0.0, 1.0, 2.0], "q_rad": zeros, "speed_rad_s": zeros, "acceleration_rad_s2": zeros}

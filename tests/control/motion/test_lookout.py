@@ -28,9 +28,7 @@ def test_every_part_of_a_motion_is_looked_at_once_and_before_the_arm_could_not_s
     assert lookout.poses(MOVE.duration_s) == []
 
 
-def test_at_10_m_s2_no_tip_departs_further_from_the_chord_between_two_poses_than_a_fifth_of_a_millimetre() -> (
-    None
-):
+def test_at_10_m_s2_no_tip_departs_further_from_the_chord_between_two_poses_than_a_fifth_of_a_millimetre() -> None:
     assert Lookout(MOVE).poses(0.0) == [MOVE.at(STEP_s), MOVE.at(2.0 * STEP_s)]
     assert 10.0 * STEP_s**2 / 8.0 < 0.2e-3
 

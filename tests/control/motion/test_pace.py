@@ -17,9 +17,7 @@ from control.safety.limits import SetPointLimits, limit_set_point
 ARM = load_arm("right")
 LIMITS = JointLimits.of(ARM)
 PERIOD_S = 0.002
-CIRCLE = [
-    (0.5 + 0.09 * math.cos(a), 0.09 * math.sin(a), 0.1) for a in (2.0 * math.pi * i / 12 for i in range(13))
-]
+CIRCLE = [(0.5 + 0.09 * math.cos(a), 0.09 * math.sin(a), 0.1) for a in (2.0 * math.pi * i / 12 for i in range(13))]
 GUARDS = [
     SetPointLimits(low, high, 1.05 * speed, 1.05 * acceleration)
     for low, high, speed, acceleration in zip(
@@ -96,9 +94,7 @@ def test_whatever_paces_are_wanted_no_limit_of_a_joint_is_passed(seed):
     """Two kinds of motion at their limits: a joint move is at its jerk limit everywhere, the circle at its acceleration."""
     draw = random.Random(seed)
     paces = [draw.choice([0.0, 1.0, draw.random()]) for _ in range(300)]
-    q_to = tuple(
-        draw.uniform(low, high) for low, high in zip(LIMITS.lower_rad, LIMITS.upper_rad, strict=True)
-    )
+    q_to = tuple(draw.uniform(low, high) for low, high in zip(LIMITS.lower_rad, LIMITS.upper_rad, strict=True))
     for motion in (fastest_circle(), JointMove((0.0, 0.0, 0.0), q_to, LIMITS)):
         paced = Paced(motion, LIMITS.acceleration_rad_s2, 1.0)
         followed(paced, lambda t: paces[int(t / 0.13) % 300], most_s=6.0)

@@ -148,9 +148,7 @@ def test_the_branch_nearest_to_the_arm_is_held_along_the_path():
 def test_a_way_point_out_of_reach_is_named_with_the_distance(bad):
     points = [(0.45, -0.05, 0.1), (0.5, 0.0, 0.1), (0.55, 0.05, 0.1)]
     points[bad] = (1.2, 0.0, 0.1)
-    with pytest.raises(
-        PathError, match=rf"^way-point {bad + 1}: .* out of reach by 0\.4\d+ m.*nothing was moved"
-    ) as caught:
+    with pytest.raises(PathError, match=rf"^way-point {bad + 1}: .* out of reach by 0\.4\d+ m.*nothing was moved") as caught:
         plan_path(ARM, points, 0.1)
     assert caught.value.waypoint == bad + 1
 
@@ -213,9 +211,7 @@ def test_a_planned_path_survives_json_and_runs_the_same():
 def test_a_path_of_minutes_needs_no_more_sections_than_a_request_has_room_for():
     planned = plan_path(ARM, line(TABLE), 5e-4)
     assert planned.duration_s > 300.0
-    assert (
-        len(planned.joints.times_s) < 2 * FEWEST
-    )  # halved until they are short enough; 6,000 of at most 0.1 s
+    assert len(planned.joints.times_s) < 2 * FEWEST  # halved until they are short enough; 6,000 of at most 0.1 s
     assert planned.joints.at(150.0).q_rad == pytest.approx(
         INVERSE.nearest(planned.spline.at(150.0)[0], planned.q_start_rad), abs=1e-5
     )

@@ -8,14 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from control.errors import PathError
-from control.motion.spline import (
-    arc_lengths,
-    hermite,
-    section_times,
-    tangents,
-    through,
-    timed,
-)
+from control.motion.spline import arc_lengths, hermite, section_times, tangents, through, timed
 
 RADIUS, SPEED = 0.09, 0.15
 
@@ -185,9 +178,7 @@ def test_a_right_angle_is_taken_at_the_documented_share_of_the_speed():
 
 def test_corners_up_to_45_degrees_keep_their_speed():
     turn = math.radians(44.9)
-    recipe = timed(
-        [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1 + 0.1 * math.cos(turn), 0.1 * math.sin(turn), 0.0)], 0.2
-    )
+    recipe = timed([(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1 + 0.1 * math.cos(turn), 0.1 * math.sin(turn), 0.0)], 0.2)
     assert recipe.slowed_corners == ()
     assert recipe.speeds_m_s[1] == 0.2
 

@@ -43,20 +43,11 @@ def test_columns_may_come_in_any_order_and_without_speeds(tmp_path):
         ("x_m,y_m,z_m,x_m\n", "column x_m appears twice"),
         ("0.5,0.1,0.2\n0.5,0.1,0.2\n", "required column x_m is missing, got 0.5, 0.1, 0.2"),
         ("x_m,y_m,z_m\n1,2\n1,2,3\n", "csv, line 2: 2 values, line 1 names 3"),
-        (
-            "x_m,y_m,z_m\n1,2,3\n1,2,three\n",
-            'csv, line 3, column z_m: got "three", expected a number from -10 to 10 m',
-        ),
+        ("x_m,y_m,z_m\n1,2,3\n1,2,three\n", 'csv, line 3, column z_m: got "three", expected a number from -10 to 10 m'),
         ("x_m,y_m,z_m\n1,2,3\n1,2,\n", "csv, line 3, column z_m: got an empty cell, expected a number"),
         ("x_m,y_m,z_m\n1,2,3\n1,2,nan\n", 'csv, line 3, column z_m: got "nan", expected a number'),
-        (
-            "x_m,y_m,z_m\n500,2,3\n1,2,3\n",
-            r'csv, line 2, column x_m: got "500", .*10 m \(millimetres\? then write 0.5\)',
-        ),
-        (
-            "x_m,y_m,z_m\n1,2,3\n1,-90,3\n",
-            r'csv, line 3, column y_m: got "-90", .* \(millimetres\? then write -0.09\)',
-        ),
+        ("x_m,y_m,z_m\n500,2,3\n1,2,3\n", r'csv, line 2, column x_m: got "500", .*10 m \(millimetres\? then write 0.5\)'),
+        ("x_m,y_m,z_m\n1,2,3\n1,-90,3\n", r'csv, line 3, column y_m: got "-90", .* \(millimetres\? then write -0.09\)'),
         (
             "x_m,y_m,z_m,speed_m_s\n1,2,3,150\n1,2,4,1\n",
             r'csv, line 2, column speed_m_s: got "150", .* \(mm/s\? then write 0.15\)',

@@ -28,12 +28,8 @@ STARTED_s = 1_700_000_000.5
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two moves, and guiding by hand, of an upright arm."""
     path = tmp_path_factory.mktemp("log") / "run.armlog"
-    sink = FileSink(
-        path, Layout.of(3).header({"arm": "right", "started_unix_s": STARTED_s, "period_s": 0.002})
-    )
-    with holding_cell(
-        scenario(UPRIGHT, effect=FRICTION, camera=CameraTable(rate_Hz=100.0)), sink=sink
-    ) as cell:
+    sink = FileSink(path, Layout.of(3).header({"arm": "right", "started_unix_s": STARTED_s, "period_s": 0.002}))
+    with holding_cell(scenario(UPRIGHT, effect=FRICTION, camera=CameraTable(rate_Hz=100.0)), sink=sink) as cell:
         cell.client.move_joints((0.1, 0.15, 0.75))
         cell.client.ask("payload", mass_kg=0.25)
         cell.client.move_joints((0.0, 0.15, 0.75))
@@ -177,9 +173,7 @@ def test_a_table_without_a_row_is_explained(tmp_path: Path, capsys: pytest.Captu
     assert "log.mcap is" not in said.err
 
 
-def test_the_command_says_what_it_wrote(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_what_it_wrote(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(recording), "--out", str(tmp_path / "x"), "--every", "10"]) == 0
     said = capsys.readouterr().out
     assert "log.csv.gz: " in said

@@ -55,10 +55,13 @@ def packed(first: int, count: int, seed: int = 5) -> bytes:
         for j, scale in enumerate(RAD_PER_COUNT, start=1):
             row[f"count{j}"] = round(row[f"q{j}_rad"] / scale)
             row |= {
-                f"q{j}_rad": row[f"count{j}"] * scale, f"counted{j}_s": round(k * PERIOD_s + 3.0, 6),
-                f"speed{j}_rad_s": noise.normal(0.3, 0.01), f"u{j}_V": noise.normal(2.0, 0.02),
-                f"i{j}_A": round(noise.normal(0.5, 0.03), 3), f"supply{j}_V": round(noise.normal(24.0, 0.01), 3),
-            }  # fmt: skip
+                f"q{j}_rad": row[f"count{j}"] * scale,
+                f"counted{j}_s": round(k * PERIOD_s + 3.0, 6),
+                f"speed{j}_rad_s": noise.normal(0.3, 0.01),
+                f"u{j}_V": noise.normal(2.0, 0.02),
+                f"i{j}_A": round(noise.normal(0.5, 0.03), 3),
+                f"supply{j}_V": round(noise.normal(24.0, 0.01), 3),
+            }
         rows.append(LAYOUT.packing.pack(*(row.get(name, 0) for name in LAYOUT.names)))
     return b"".join(rows)
 
@@ -87,14 +90,10 @@ def stored(rows: bytes) -> bytes:
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(ROWS, min_size=1, max_size=4))
-def test_any_values_come_back_to_their_resolution_and_counts_to_the_bit(
-    frames: list[list[tuple[float, ...]]],
-) -> None:
+def test_any_values_come_back_to_their_resolution_and_counts_to_the_bit(frames: list[list[tuple[float, ...]]]) -> None:
     columns = stored_columns(SMALL_LAYOUT.names, SMALL_LAYOUT.codes, (1e-4,))
     encoder = FrameEncoder(columns, SMALL_LAYOUT.packing)
-    content = b"".join(
-        encoder.frame(b"".join(SMALL_LAYOUT.packing.pack(*row) for row in rows)) for rows in frames
-    )
+    content = b"".join(encoder.frame(b"".join(SMALL_LAYOUT.packing.pack(*row) for row in rows)) for rows in frames)
     back, used = FrameDecoder(columns, SMALL_LAYOUT.names, SMALL_LAYOUT.packing).rows(content)
     assert used == len(content)
     wanted = [row for rows in frames for row in rows]
@@ -110,12 +109,9 @@ def test_a_column_of_a_later_version_is_kept_to_the_bit() -> None:
     columns = stored_columns(("new_s", "newer_s", "many"), "dfh")
     packing = struct.Struct("<dfh")
     rows = b"".join(
-        packing.pack(value, value, number)
-        for number, value in enumerate([0.1, -1e300 * 0.0, math.inf, math.nan, -0.3, 1e-30])
+        packing.pack(value, value, number) for number, value in enumerate([0.1, -1e300 * 0.0, math.inf, math.nan, -0.3, 1e-30])
     )
-    back, _ = FrameDecoder(columns, ("new_s", "newer_s", "many"), packing).rows(
-        FrameEncoder(columns, packing).frame(rows)
-    )
+    back, _ = FrameDecoder(columns, ("new_s", "newer_s", "many"), packing).rows(FrameEncoder(columns, packing).frame(rows))
     assert back == rows
 
 
@@ -146,11 +142,7 @@ def test_a_damaged_frame_costs_its_stream_and_no_row_is_wrong(tmp_path: Path) ->
     whole, offset, size = bytearray(path.read_bytes()), Recording.open(path).offset, LAYOUT.packing.size
     right = Recording.open(path).packed()
     assert len(right) == len(rows)
-    second = next(
-        end
-        for end, start, _ in frames_in(bytes(whole[offset:]))
-        if HEAD.unpack(start)[1] & 0x8000 and end > 9999
-    )
+    second = next(end for end, start, _ in frames_in(bytes(whole[offset:])) if HEAD.unpack(start)[1] & 0x8000 and end > 9999)
     noise = np.random.default_rng(3)
     for _ in range(12):
         at = offset + HEAD.size + int(noise.integers(second - 9000))
@@ -204,10 +196,18 @@ def test_a_growing_file_is_read_frame_by_frame_whatever_has_arrived(tmp_path: Pa
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("per_unit", -1), ("per_unit", 10**16), ("order", 0), ("order", 4), ("beside", 10**6), ("beside", 0),
-        ("factor", math.inf), ("factor", math.nan), ("order", "x"), ("per_unit", None),
+        ("per_unit", -1),
+        ("per_unit", 10**16),
+        ("order", 0),
+        ("order", 4),
+        ("beside", 10**6),
+        ("beside", 0),
+        ("factor", math.inf),
+        ("factor", math.nan),
+        ("order", "x"),
+        ("per_unit", None),
     ],
-)  # fmt: skip
+)
 def test_a_header_that_describes_no_columns_is_refused(tmp_path: Path, key: str, value: object) -> None:
     about = LAYOUT.framed(RAD_PER_COUNT)
     about["frames"][key][0] = value

@@ -20,10 +20,7 @@ from control.recording.rotation import Policy, remove_oldest
 from tests.recordings import BOOTED_s, PERIOD_s, write_recording
 
 AT_REST = {"orientation": (1.0, 0.0, 0.0, 0.0)}
-CELL = {
-    "name": "pair",
-    "bases": {"left": {"origin_m": (0, 0.25, 0), **AT_REST}, "right": {"origin_m": (0, -0.25, 0), **AT_REST}},
-}
+CELL = {"name": "pair", "bases": {"left": {"origin_m": (0, 0.25, 0), **AT_REST}, "right": {"origin_m": (0, -0.25, 0), **AT_REST}}}
 
 
 def both(folder: Path, **of_right: object) -> Path:
@@ -31,9 +28,7 @@ def both(folder: Path, **of_right: object) -> Path:
     left = {k: {"cycle": k + (k >= 7)} for k in range(19)}
     left = {k: {**row, "t_s": BOOTED_s + PERIOD_s * row["cycle"]} for k, row in left.items()}
     right = {k: {"cycle": k + 3, "t_s": BOOTED_s + PERIOD_s * (k + 3)} for k in range(20)}
-    write_recording(
-        folder / "a-right.armlog", 20, changes=right, **{"arm": "right", "cell": CELL, **of_right}
-    )
+    write_recording(folder / "a-right.armlog", 20, changes=right, **{"arm": "right", "cell": CELL, **of_right})
     write_recording(folder / "b-left.armlog", 19, changes=left, arm="left", cell=CELL)
     return folder
 
@@ -93,9 +88,7 @@ def test_every_second_row_is_half_of_them(tmp_path: Path) -> None:
         ({"cell": {"name": "trio"}}, "expected arms of one cell, got those of pair, trio"),
     ],
 )
-def test_recordings_that_do_not_belong_together_are_refused(
-    tmp_path: Path, of_right: dict[str, object], said: str
-) -> None:
+def test_recordings_that_do_not_belong_together_are_refused(tmp_path: Path, of_right: dict[str, object], said: str) -> None:
     with pytest.raises(RecordError, match=said):
         recordings_in(both(tmp_path, **of_right))
 
@@ -103,15 +96,11 @@ def test_recordings_that_do_not_belong_together_are_refused(
 def test_recordings_of_other_runs_and_of_an_arm_alone_are_refused(tmp_path: Path) -> None:
     left = recordings_in(both(tmp_path))[0]
     (tmp_path / "other").mkdir()
-    later = write_recording(
-        tmp_path / "other" / "later.armlog", 5, changes={0: {"cycle": 4, "t_s": 9.0}}, arm="right", cell=CELL
-    )
+    later = write_recording(tmp_path / "other" / "later.armlog", 5, changes={0: {"cycle": 4, "t_s": 9.0}}, arm="right", cell=CELL)
     with pytest.raises(RecordError, match=r"cycle 4 was at 9\.000 s, and that of .* they are not of one run"):
         join([left, Recording.open(later)], tmp_path / "cell.csv")
     write_recording(tmp_path / "other" / "alone.armlog", 5)
-    with pytest.raises(
-        RecordError, match="expected the recording of an arm of a cell, got that of arm 'right' alone"
-    ):
+    with pytest.raises(RecordError, match="expected the recording of an arm of a cell, got that of arm 'right' alone"):
         recordings_in(tmp_path / "other")
     (tmp_path / "none").mkdir()
     with pytest.raises(RecordError, match="a folder without recordings"):
@@ -143,8 +132,6 @@ def test_the_series_of_a_cell_has_the_joints_of_all_arms_at_the_cycles_that_all_
     assert [series.joint_name(joint) for joint in (1, 4)] == ["left 1", "right 1"]
     assert series.cell is not None
     assert series.cell.placed("right").origin_m == (0, -0.25, 0)
-    np.testing.assert_allclose(
-        np.diff(series.t_s), PERIOD_s * np.diff([3, 4, 5, 6, *range(8, 20)]), atol=1e-6
-    )
+    np.testing.assert_allclose(np.diff(series.t_s), PERIOD_s * np.diff([3, 4, 5, 6, *range(8, 20)]), atol=1e-6)
     with pytest.raises(RecordError, match="--arm: not for"):
         read_log(tmp_path, load_arm("right"))

@@ -31,11 +31,13 @@ MODIFIED = replace(
     links=tuple(
         Link(joint, d, theta, length, alpha)
         for d, theta, length, alpha, joint in (
-            (0.3, 0.1, 0.0, 0.0, "revolute"), (0.02, -0.4, 0.1, -1.2, "revolute"),
-            (0.0, 0.7, 0.25, 0.3, "revolute"), (0.1, 0.2, 0.05, 1.6, "fixed"),
+            (0.3, 0.1, 0.0, 0.0, "revolute"),
+            (0.02, -0.4, 0.1, -1.2, "revolute"),
+            (0.0, 0.7, 0.25, 0.3, "revolute"),
+            (0.1, 0.2, 0.05, 1.6, "fixed"),
         )
     ),
-)  # fmt: skip
+)
 
 
 class Read:
@@ -84,27 +86,39 @@ def fits(value: Any, schema: dict[str, Any]) -> bool:
     if kind == "array":
         return isinstance(value, list) and all(fits(part, schema["items"]) for part in value)
     types: dict[Any, tuple[type, ...]] = {
-        "number": (int, float), "integer": (int,), "string": (str,), "boolean": (bool,), "object": (dict,),
-    }  # fmt: skip
+        "number": (int, float),
+        "integer": (int,),
+        "string": (str,),
+        "boolean": (bool,),
+        "object": (dict,),
+    }
     return isinstance(value, types[kind])
 
 
 def test_every_message_is_what_its_schema_says_and_every_number_has_its_unit(tmp_path: Path) -> None:
     read = exported(tmp_path, write_recording(tmp_path / "a.armlog", 60))
     assert set(read.schemas) == {
-        "/joints", "/joints/set_point", "/joints/following_error", "/drives", "/camera", "/loop",
-        "/tf", "/scene", "/tip/measured", "/tip/set_point", "/tip/camera", "/joint_states", "/log",
-    }  # fmt: skip
+        "/joints",
+        "/joints/set_point",
+        "/joints/following_error",
+        "/drives",
+        "/camera",
+        "/loop",
+        "/tf",
+        "/scene",
+        "/tip/measured",
+        "/tip/set_point",
+        "/tip/camera",
+        "/joint_states",
+        "/log",
+    }
     for topic, schema in read.schemas.items():
         for _, message in read.messages[topic]:
             assert fits(message, schema), (topic, message)
         if not schema["title"].startswith("foxglove."):
             for name, entry in schema["properties"].items():
                 assert entry["type"] == "string" or entry["description"].endswith("]"), name
-    assert (
-        read.schemas["/joints"]["properties"]["q2_rad"]["description"]
-        == "joint 2: angle by its encoder [rad]"
-    )
+    assert read.schemas["/joints"]["properties"]["q2_rad"]["description"] == "joint 2: angle by its encoder [rad]"
 
 
 def test_times_are_those_of_the_day_whenever_the_machine_was_started(tmp_path: Path) -> None:
@@ -132,9 +146,7 @@ def test_the_frames_chain_to_where_kinematics_has_the_links_and_the_tip(tmp_path
         for q in rng.uniform(-3.0, 3.0, (5, 3)):
             at = {"base": np.eye(4)}
             for one in scene.transforms(arm, "x", q.tolist(), 0):
-                at[one["child_frame_id"]] = at[one["parent_frame_id"]] @ _matrix(
-                    one["translation"], one["rotation"]
-                )
+                at[one["child_frame_id"]] = at[one["parent_frame_id"]] @ _matrix(one["translation"], one["rotation"])
             links = ForwardKinematics(arm).link_transforms([q])[0]
             for number in range(1, len(arm.links) + 1):
                 np.testing.assert_allclose(at[f"x/link{number}"], links[number], atol=1e-12)
@@ -188,9 +200,7 @@ def test_the_commanded_path_is_shown_when_its_run_begins(tmp_path: Path) -> None
     points = update["entities"][0]["lines"][0]["points"]
     k = np.arange(10, 120, 10)  # one each 0.02 s
     q = np.stack([0.1 * j * np.sin(2 * np.pi * k * PERIOD_s) for j in (1, 2, 3)], axis=1)
-    np.testing.assert_allclose(
-        [[p["x"], p["y"], p["z"]] for p in points], ForwardKinematics(RIGHT).tips(q), atol=1e-9
-    )
+    np.testing.assert_allclose([[p["x"], p["y"], p["z"]] for p in points], ForwardKinematics(RIGHT).tips(q), atol=1e-9)
 
 
 def test_following_errors_and_joint_states_are_those_of_the_recording(tmp_path: Path) -> None:
@@ -203,16 +213,19 @@ def test_following_errors_and_joint_states_are_those_of_the_recording(tmp_path: 
 
 
 def test_the_log_says_what_changed_and_warns_of_missed_deadlines_once_a_second(tmp_path: Path) -> None:
-    changes: dict[int, dict[str, float]] = {
-        k: {"missed": k - 19} for k in range(20, 600)
-    }  # one in every cycle
+    changes: dict[int, dict[str, float]] = {k: {"missed": k - 19} for k in range(20, 600)}  # one in every cycle
     changes[599] |= {"mode": MODES.index("FAULT"), "drive_faults2": 4}
     read = exported(tmp_path, write_recording(tmp_path / "a.armlog", 600, changes=changes))
     said = [(entry["level"], entry["message"]) for _, entry in read.messages["/log"]]
     assert said == [
-        (2, "mode HOLDING"), (2, "mode MOVING"), (2, "run 1 begins"), (3, "1 deadlines missed, 1 so far"),
-        (3, "500 deadlines missed, 501 so far"), (4, "mode FAULT"), (4, "drive of joint 2: fault bits 0x04"),
-    ]  # fmt: skip
+        (2, "mode HOLDING"),
+        (2, "mode MOVING"),
+        (2, "run 1 begins"),
+        (3, "1 deadlines missed, 1 so far"),
+        (3, "500 deadlines missed, 501 so far"),
+        (4, "mode FAULT"),
+        (4, "drive of joint 2: fault bits 0x04"),
+    ]
 
 
 def test_a_mode_of_a_later_version_is_its_number() -> None:

@@ -44,9 +44,7 @@ def write(path: Path, rows: int) -> Path:
 @pytest.mark.parametrize("joints", [1, 3, 7])
 def test_a_row_of_any_number_of_joints_has_a_name_for_each_value(joints: int) -> None:
     layout = Layout.of(joints)
-    assert (
-        len(layout.names) == len(set(layout.names)) == len(layout.packing.unpack(bytes(layout.packing.size)))
-    )
+    assert len(layout.names) == len(set(layout.names)) == len(layout.packing.unpack(bytes(layout.packing.size)))
     assert layout.packing.size < 4096  # PIPE_BUF: a row goes into the pipe whole or not at all
 
 
@@ -65,9 +63,7 @@ def test_a_torn_last_row_is_dropped_and_all_others_are_there(tmp_path: Path, tor
     assert list(Recording.open(path).rows()) == [row(number) for number in range(19)]
 
 
-def test_a_recording_that_is_cut_anywhere_is_read_as_far_as_it_goes_or_refused_in_a_sentence(
-    tmp_path: Path,
-) -> None:
+def test_a_recording_that_is_cut_anywhere_is_read_as_far_as_it_goes_or_refused_in_a_sentence(tmp_path: Path) -> None:
     path = write(tmp_path / "cut.armlog", 3)
     whole = path.stat().st_size
     for length in reversed(range(whole)):
@@ -89,15 +85,29 @@ def header(**changes: object) -> bytes:
 @pytest.mark.parametrize(
     "start",
     [
-        b"", b"hello", MAGIC, MAGIC + b"\x01\x00\x00\x00", MAGIC + struct.pack("<I", 2**31) + b"{}",
-        MAGIC + struct.pack("<I", 2) + b"[]", MAGIC + struct.pack("<I", 4) + b"\xff\xfe\xfd\xfc",
-        header(names="absent"), header(packing="absent"), header(joint_count="absent"), header(packing="<dz"),
-        header(packing="<", names=[]), header(joint_count=3), header(joint_count=10**9), header(joint_count=True),
-        header(started_unix_s="yesterday"), header(names=["other", *LAYOUT.names[1:]]),
-        header(names=5), header(packing=5), header(names=["t_s"]),
+        b"",
+        b"hello",
+        MAGIC,
+        MAGIC + b"\x01\x00\x00\x00",
+        MAGIC + struct.pack("<I", 2**31) + b"{}",
+        MAGIC + struct.pack("<I", 2) + b"[]",
+        MAGIC + struct.pack("<I", 4) + b"\xff\xfe\xfd\xfc",
+        header(names="absent"),
+        header(packing="absent"),
+        header(joint_count="absent"),
+        header(packing="<dz"),
+        header(packing="<", names=[]),
+        header(joint_count=3),
+        header(joint_count=10**9),
+        header(joint_count=True),
+        header(started_unix_s="yesterday"),
+        header(names=["other", *LAYOUT.names[1:]]),
+        header(names=5),
+        header(packing=5),
+        header(names=["t_s"]),
     ],
     ids=lambda start: repr(start[:24]),
-)  # fmt: skip
+)
 def test_a_damaged_start_is_one_sentence_that_names_the_file(tmp_path: Path, start: bytes) -> None:
     path = tmp_path / "bad.armlog"
     path.write_bytes(start)
@@ -128,9 +138,7 @@ def test_the_last_rows_are_kept_in_order(tmp_path: Path) -> None:
     assert recorder.last_rows() == ()
     for number in range(8):
         recorder.write(row(number))
-    assert [LAYOUT.packing.unpack(kept) for kept in recorder.last_rows()] == [
-        row(number) for number in range(3, 8)
-    ]
+    assert [LAYOUT.packing.unpack(kept) for kept in recorder.last_rows()] == [row(number) for number in range(3, 8)]
     recorder.close()
 
 
@@ -185,9 +193,7 @@ def test_the_writer_has_all_that_was_sent_when_its_pipe_ends_but_for_a_torn_row(
     assert path.read_bytes()[Recording.open(path).offset :] == sent
 
 
-def told_until(
-    writer: subprocess.Popen[bytes], is_so: Callable[[RecorderState], bool], rows: int = 1
-) -> RecorderState:
+def told_until(writer: subprocess.Popen[bytes], is_so: Callable[[RecorderState], bool], rows: int = 1) -> RecorderState:
     """Send some rows and hear a report, until one is so."""
     assert writer.stdin is not None
     assert writer.stdout is not None
@@ -225,9 +231,7 @@ def test_a_writer_whose_file_may_grow_no_more_says_so_and_goes_on_when_it_may(tm
 def test_a_disk_that_is_really_full_stops_the_recording_until_there_is_room(tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(disk)], check=False, capture_output=True
-    )
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(disk)], check=False, capture_output=True)
     if mounted.returncode:
         pytest.skip(f"this user cannot mount: {mounted.stderr.decode().strip()}")
     try:
@@ -236,9 +240,7 @@ def test_a_disk_that_is_really_full_stops_the_recording_until_there_is_room(tmp_
         with contextlib.suppress(OSError), ballast.open("wb", buffering=0) as file:
             while True:
                 file.write(bytes(1 << 12))
-        page = (
-            resource.getpagesize() // LAYOUT.packing.size + 1
-        )  # rows: what is left of the last page takes some
+        page = resource.getpagesize() // LAYOUT.packing.size + 1  # rows: what is left of the last page takes some
         stopped = told_until(writer, lambda state: not state.is_on, page)
         assert stopped.reason == "No space left on device"
         ballast.unlink()

@@ -51,9 +51,7 @@ class Disk:
         self.room -= written
         return written
 
-    def parts(
-        self, folder: Path, policy: Policy = LARGE, name: str = "right-20260101-120000.armlog"
-    ) -> RecordingParts:
+    def parts(self, folder: Path, policy: Policy = LARGE, name: str = "right-20260101-120000.armlog") -> RecordingParts:
         begin(folder / name, LAYOUT.about(arm="right", period_s=0.002))
         return RecordingParts(folder / name, policy, self.said.append, self.pwrite, lambda: self.now_s)
 
@@ -82,10 +80,7 @@ def test_a_full_disk_keeps_whole_rows_and_recording_resumes_in_the_same_file_whe
     parts.close()
     assert parts.state().is_on
     assert cycles(tmp_path / "right-20260101-120000.armlog") == [0, 1, 2, 9, 10]
-    assert [("stopped" in said, "6 rows were lost" in said) for said in disk.said] == [
-        (True, False),
-        (False, True),
-    ]
+    assert [("stopped" in said, "6 rows were lost" in said) for said in disk.said] == [(True, False), (False, True)]
     assert all("right-20260101-120000.armlog" in said for said in disk.said)
 
 
@@ -116,17 +111,17 @@ def test_a_recording_rotates_into_files_that_are_readable_each_for_itself(tmp_pa
     parts.close()
     files = parts_from(tmp_path / "right-20260101-120000.armlog")
     assert [file.name for file in files] == [
-        "right-20260101-120000.armlog", "right-20260101-120000.part2.armlog", "right-20260101-120000.part3.armlog",
-    ]  # fmt: skip
+        "right-20260101-120000.armlog",
+        "right-20260101-120000.part2.armlog",
+        "right-20260101-120000.part3.armlog",
+    ]
     assert [cycle for file in files for cycle in cycles(file)] == list(range(100))
     assert {Recording.open(file).header["arm"] for file in files} == {"right"}
     assert Recording.open(files[1]).header["started_unix_s"] > 1.0
     assert written == sum(file.stat().st_size for file in files)
 
 
-def test_a_disk_that_is_full_when_the_next_file_begins_leaves_no_half_of_it(
-    tmp_path: Path, disk: Disk
-) -> None:
+def test_a_disk_that_is_full_when_the_next_file_begins_leaves_no_half_of_it(tmp_path: Path, disk: Disk) -> None:
     parts = disk.parts(tmp_path, Policy(rotate_bytes=1))
     parts.append(rows(0, 3))
     disk.room = 7
@@ -138,9 +133,7 @@ def test_a_disk_that_is_full_when_the_next_file_begins_leaves_no_half_of_it(
     assert cycles(tmp_path / "right-20260101-120000.part2.armlog") == [6, 7, 8]
 
 
-def test_a_recording_that_somebody_removes_to_make_room_goes_on_in_the_next_file(
-    tmp_path: Path, disk: Disk
-) -> None:
+def test_a_recording_that_somebody_removes_to_make_room_goes_on_in_the_next_file(tmp_path: Path, disk: Disk) -> None:
     parts = disk.parts(tmp_path)
     parts.append(rows(0, 3))
     (tmp_path / "right-20260101-120000.armlog").unlink()
@@ -172,9 +165,7 @@ def test_a_recording_that_another_program_empties_or_cuts_says_so_and_goes_on_in
     assert [f", and {state.lost_rows} cycles" in said for said in disk.said] == [left < 1.0]
 
 
-def test_a_recording_that_is_moved_away_keeps_its_rows_and_goes_on_where_it_is_looked_for(
-    tmp_path: Path, disk: Disk
-) -> None:
+def test_a_recording_that_is_moved_away_keeps_its_rows_and_goes_on_where_it_is_looked_for(tmp_path: Path, disk: Disk) -> None:
     parts = disk.parts(tmp_path)
     first = tmp_path / "right-20260101-120000.armlog"
     parts.append(rows(0, 3))
@@ -199,12 +190,7 @@ def test_only_the_oldest_finished_recordings_of_this_arm_are_removed_and_it_is_t
     newer = named(tmp_path, "right-20250103-120000-2.armlog", 100, 10)
     others = [
         named(tmp_path, name, 100, 99)
-        for name in (
-            "left-20240101-120000.armlog",
-            "right-calibrated-20240101-120000.armlog",
-            "right.armlog",
-            "notes.txt",
-        )
+        for name in ("left-20240101-120000.armlog", "right-calibrated-20240101-120000.armlog", "right.armlog", "notes.txt")
     ]
     said: list[str] = []
     current = named(tmp_path, "right-20260101-120000.armlog", 50, 0)
@@ -231,9 +217,7 @@ def test_a_recording_that_another_writer_still_has_open_is_not_removed(tmp_path:
     assert not other.exists()
 
 
-def test_a_recording_that_finds_no_room_for_its_header_names_the_file_and_leaves_none(
-    tmp_path: Path, disk: Disk
-) -> None:
+def test_a_recording_that_finds_no_room_for_its_header_names_the_file_and_leaves_none(tmp_path: Path, disk: Disk) -> None:
     disk.room = 5
     with pytest.raises(OSError, match=r"a\.armlog: not written: No space left on device"):
         begin(tmp_path / "a.armlog", LAYOUT.about(), disk.pwrite)
@@ -242,19 +226,13 @@ def test_a_recording_that_finds_no_room_for_its_header_names_the_file_and_leaves
 
 @pytest.mark.parametrize(
     ("name", "following"),
-    [
-        ("a.armlog", "a.part2.armlog"),
-        ("a.part2.armlog", "a.part3.armlog"),
-        ("x.party.armlog", "x.party.part2.armlog"),
-    ],
+    [("a.armlog", "a.part2.armlog"), ("a.part2.armlog", "a.part3.armlog"), ("x.party.armlog", "x.party.part2.armlog")],
 )
 def test_parts_are_numbered(name: str, following: str) -> None:
     assert next_part(Path(name)) == Path(following)
 
 
-@pytest.mark.parametrize(
-    ("hours", "says"), [(31.2, "31 h"), (0.5, "30 min"), (0.01, "less than 1 min"), (None, "")]
-)
+@pytest.mark.parametrize(("hours", "says"), [(31.2, "31 h"), (0.5, "30 min"), (0.01, "less than 1 min"), (None, "")])
 def test_the_time_that_the_disk_lasts_is_never_nought(hours: float | None, says: str) -> None:
     assert RecorderState(True, hours_left=hours).time_left() == says
 

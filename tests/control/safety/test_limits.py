@@ -32,9 +32,7 @@ def test_clamp_lets_the_bounds_and_what_lies_between_pass_unchanged(bound):
     assert limits.clamp(bound, -2.0, 3.0, "voltage") == Allowed(bound, ())
 
 
-@pytest.mark.parametrize(
-    ("wanted", "bound"), [(_above(3.0), 3.0), (1e300, 3.0), (_below(-2.0), -2.0), (-1e300, -2.0)]
-)
+@pytest.mark.parametrize(("wanted", "bound"), [(_above(3.0), 3.0), (1e300, 3.0), (_below(-2.0), -2.0), (-1e300, -2.0)])
 def test_clamp_stops_at_the_bound_and_says_why(wanted, bound):
     allowed = limits.clamp(wanted, -2.0, 3.0, "voltage", 2)
     assert allowed == Allowed(bound, (Clip("voltage", 2, wanted, bound),))
@@ -54,9 +52,7 @@ def test_clamp_refuses_crossed_or_missing_bounds(lower, upper):
 
 
 def test_a_clip_reads_as_a_sentence_with_joint_and_both_values():
-    assert (
-        str(Clip("speed limit [rad/s]", 2, 2.5, 2.0)) == "joint 2 speed limit [rad/s]: wanted 2.5, allowed 2"
-    )
+    assert str(Clip("speed limit [rad/s]", 2, 2.5, 2.0)) == "joint 2 speed limit [rad/s]: wanted 2.5, allowed 2"
     assert str(Clip("supply", 0, 2.5, 2.0)) == "supply: wanted 2.5, allowed 2"
 
 
@@ -207,16 +203,13 @@ def test_stopping_speed_is_zero_where_no_distance_is_left(distance):
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
 @pytest.mark.parametrize("field", ["speed_rad_s", "acceleration_rad_s2"])
 def test_limits_that_are_not_positive_and_finite_are_refused(field, bad):
-    values = {"lower_rad": -1.0, "upper_rad": 1.0, "speed_rad_s": 1.0, "acceleration_rad_s2": 1.0} | {
-        field: bad
-    }
+    values = {"lower_rad": -1.0, "upper_rad": 1.0, "speed_rad_s": 1.0, "acceleration_rad_s2": 1.0} | {field: bad}
     with pytest.raises(ArmError, match=field):
         SetPointLimits(**values)
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper"),
-    [(1.0, 1.0), (1.0, 0.0), (math.nan, 1.0), (0.0, math.nan), (-math.inf, 0.0), (0.0, math.inf)],
+    ("lower", "upper"), [(1.0, 1.0), (1.0, 0.0), (math.nan, 1.0), (0.0, math.nan), (-math.inf, 0.0), (0.0, math.inf)]
 )
 def test_a_joint_range_must_be_in_order_and_finite(lower, upper):
     with pytest.raises(ArmError, match="joint range"):
@@ -230,13 +223,7 @@ def test_voltage_range_keeps_the_current_limit_around_the_back_emf():
 
 @pytest.mark.parametrize(
     ("back_emf", "expected"),
-    [
-        (22.0, (20.0, 24.0)),
-        (22.5, (20.5, 24.0)),
-        (-22.5, (-24.0, -20.5)),
-        (30.0, (24.0, 24.0)),
-        (-30.0, (-24.0, -24.0)),
-    ],
+    [(22.0, (20.0, 24.0)), (22.5, (20.5, 24.0)), (-22.5, (-24.0, -20.5)), (30.0, (24.0, 24.0)), (-30.0, (-24.0, -24.0))],
 )
 def test_voltage_range_ends_at_the_voltage_limit_and_is_never_crossed(back_emf, expected):
     assert limits.voltage_range(24.0, 8.0, 0.25, back_emf) == expected
@@ -263,9 +250,7 @@ def test_allowed_lag_holds_the_error_of_every_first_order_lag_up_to_its_time(lag
     """A move of 1 rad/s that ends: each joint that follows with a time constant up to lag_s is within what is allowed."""
     period_s, speed, allowed, errors = 1e-3, 0.0, 0.0, {lag_s * share: 0.0 for share in (0.1, 0.5, 1.0)}
     for cycle in range(4000):
-        speed = (
-            min(1.0, speed + 20.0 * period_s) if cycle < 2000 else max(0.0, speed - deceleration * period_s)
-        )
+        speed = min(1.0, speed + 20.0 * period_s) if cycle < 2000 else max(0.0, speed - deceleration * period_s)
         allowed = limits.allowed_lag(speed, lag_s, allowed, period_s)
         for time_s, error in errors.items():
             errors[time_s] = (error + speed * period_s) * time_s / (time_s + period_s)

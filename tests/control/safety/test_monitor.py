@@ -10,9 +10,7 @@ from control.safety.monitor import IllegalTransition, Monitor
 from control.safety.table import TRANSITIONS, Event, Mode, legal_events, next_towards_off, table_text
 from tests.places import ROOT
 
-CONTROLLED = Fault(
-    "following_error", "joint 2", "0.2 rad behind its set-point", "free the arm", Reaction.CONTROLLED
-)
+CONTROLLED = Fault("following_error", "joint 2", "0.2 rad behind its set-point", "free the arm", Reaction.CONTROLLED)
 BRAKE = Fault("stale_encoder", "board enc0", "no report for 0.05 s", "check its cable", Reaction.BRAKE)
 
 # Written out again on purpose, by mode: a change of the table must be made twice.
@@ -42,16 +40,15 @@ ROUTES = {
     Mode.STOPPING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE, Event.STOP),
 }
 INTERNAL = {
-    Event.FAULT_CONTROLLED, Event.FAULT_BRAKE, Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED, Event.ACKNOWLEDGE_OFF,
+    Event.FAULT_CONTROLLED,
+    Event.FAULT_BRAKE,
+    Event.ACKNOWLEDGE_HELD,
+    Event.ACKNOWLEDGE_BRAKED,
+    Event.ACKNOWLEDGE_OFF,
     Event.ACKNOWLEDGE_FOUND,
-}  # fmt: skip
-# What the loop does not control it cannot stop; boards that hold by themselves go on.
-UNCONTROLLED = {
-    Mode.OFF: Reaction.BRAKE,
-    Mode.BRAKED: Reaction.BRAKE,
-    Mode.GUIDING: Reaction.BRAKE,
-    Mode.HELD: Reaction.HOLD,
 }
+# What the loop does not control it cannot stop; boards that hold by themselves go on.
+UNCONTROLLED = {Mode.OFF: Reaction.BRAKE, Mode.BRAKED: Reaction.BRAKE, Mode.GUIDING: Reaction.BRAKE, Mode.HELD: Reaction.HOLD}
 
 
 def _monitor(mode):
@@ -68,9 +65,7 @@ def _state(monitor):
     return monitor.mode, monitor.faults, monitor.reaction, monitor.is_homed, monitor.is_at_rest
 
 
-@pytest.mark.parametrize(
-    ("mode", "event"), list(itertools.product(Mode, [event for event in Event if event not in INTERNAL]))
-)
+@pytest.mark.parametrize(("mode", "event"), list(itertools.product(Mode, [event for event in Event if event not in INTERNAL])))
 def test_every_event_in_every_mode_does_what_the_table_says_or_is_refused_without_a_trace(mode, event):
     expected = dict(entry.split(">") for entry in EXPECTED[mode].split())
     monitor = _monitor(mode)
@@ -288,24 +283,13 @@ def test_each_step_of_a_shutdown(mode, still, held, expected):
 
 
 def test_every_mode_takes_both_kinds_of_fault_and_stop():
-    assert all(
-        (mode, event) in TRANSITIONS for mode in Mode for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
-    )
+    assert all((mode, event) in TRANSITIONS for mode in Mode for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE))
     assert all((mode, Event.STOP) in TRANSITIONS for mode in Mode)
-    assert all(
-        TRANSITIONS[(mode, event)] is Mode.FAULT
-        for mode in Mode
-        for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
-    )
+    assert all(TRANSITIONS[(mode, event)] is Mode.FAULT for mode in Mode for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE))
 
 
 def test_no_mode_but_off_held_braked_and_fault_can_be_switched_off():
-    assert {mode for mode in Mode if (mode, Event.SWITCH_OFF) in TRANSITIONS} == {
-        Mode.OFF,
-        Mode.HELD,
-        Mode.BRAKED,
-        Mode.FAULT,
-    }
+    assert {mode for mode in Mode if (mode, Event.SWITCH_OFF) in TRANSITIONS} == {Mode.OFF, Mode.HELD, Mode.BRAKED, Mode.FAULT}
 
 
 def test_a_fault_reads_as_place_what_happened_and_remedy():

@@ -14,11 +14,7 @@ BASE_rad_s = 0.02
 
 
 def first_doubt_s(
-    speed_rad_s: float = 0.0,
-    said_rad_s: float = 0.0,
-    current_A: float = 0.0,
-    off_R: float = 1.0,
-    off_K: float = 1.0,
+    speed_rad_s: float = 0.0, said_rad_s: float = 0.0, current_A: float = 0.0, off_R: float = 1.0, off_K: float = 1.0
 ) -> float:
     """When a motor of R off_R and K off_K that turns at one speed while its encoder says another is doubted; inf: never."""
     check = SpeedCheck(R, K, BASE_rad_s)
@@ -33,9 +29,7 @@ def first_doubt_s(
 @pytest.mark.parametrize("off_K", [0.82, 1.0, 1.2])
 @pytest.mark.parametrize("speed_rad_s", [-2.0, 0.0, 0.3, 2.0])
 @pytest.mark.parametrize("current_A", [-8.0, -0.5, 8.0])
-def test_parts_that_are_a_fifth_off_are_never_doubted(
-    off_R: float, off_K: float, speed_rad_s: float, current_A: float
-) -> None:
+def test_parts_that_are_a_fifth_off_are_never_doubted(off_R: float, off_K: float, speed_rad_s: float, current_A: float) -> None:
     assert first_doubt_s(speed_rad_s, speed_rad_s, current_A, off_R, off_K) == math.inf
 
 
@@ -50,9 +44,7 @@ def test_parts_that_are_a_fifth_off_are_never_doubted(
         (2.0, 1.0, 0.1),
     ],
 )
-def test_an_encoder_that_says_something_else_is_doubted_in_time(
-    speed_rad_s: float, said_rad_s: float, within_s: float
-) -> None:
+def test_an_encoder_that_says_something_else_is_doubted_in_time(speed_rad_s: float, said_rad_s: float, within_s: float) -> None:
     assert first_doubt_s(speed_rad_s, said_rad_s) <= within_s
     assert first_doubt_s(-speed_rad_s, -said_rad_s) <= within_s
 
@@ -93,9 +85,7 @@ def test_voltage_steps_of_a_busy_controller_are_not_doubted() -> None:
         assert check.update(T, sent[-1], acted_V / R, 0.0, 0.0)
 
 
-def test_a_step_that_the_current_already_shows_is_not_doubted_but_a_current_that_no_command_explains_is() -> (
-    None
-):
+def test_a_step_that_the_current_already_shows_is_not_doubted_but_a_current_that_no_command_explains_is() -> None:
     for is_newest in (True, False):
         check = SpeedCheck(R, K, BASE_rad_s, is_newest=is_newest)
         for _ in range(100):

@@ -51,9 +51,7 @@ def test_the_last_link_is_held_above_the_floor_between_its_ends_too(share: float
     found = list(narrow.clearances(corners[:, :, None]))
     heights = [float(distance[0]) for distance, _ in found]
     # One point is over the board, which lies lower than the floor.
-    assert heights == pytest.approx(
-        [0.3, -0.1, -0.1, *(0.1 if each == share else -0.1 for each in (0.25, 0.5, 0.75))]
-    )
+    assert heights == pytest.approx([0.3, -0.1, -0.1, *(0.1 if each == share else -0.1 for each in (0.25, 0.5, 0.75))])
     assert [what for _, what in found] == [BODY, BODY, TIP, BODY, BODY, BODY]
 
 
@@ -65,19 +63,13 @@ def test_a_body_is_nearer_to_the_floor_by_its_thickness_and_the_tip_is_a_point()
     tip_down = [(0.3, 0.0, 0.5), (0.9, 0.0, 0.5), (0.9, 0.0, 0.0)]
     assert BARE.clearance(tip_down, LinkThickness((0.03, 0.02, 0.005))) == (pytest.approx(0.01), TIP)
     forearm = [(0.3, 0.2, 0.5), (0.3, 0.2, 0.2), (0.7, -0.2, 0.0)]
-    for corners, body in (
-        (forearm, LinkThickness((0.0, 0.0, 0.1))),
-        (forearm[1:], LinkThickness((0.0, 0.1))),
-    ):
+    for corners, body in ((forearm, LinkThickness((0.0, 0.0, 0.1))), (forearm[1:], LinkThickness((0.0, 0.1)))):
         assert BARE.clearance(corners, body) == (pytest.approx(0.05 - 0.1 + 0.01), BODY)
 
 
 def test_a_body_is_nearer_to_the_base_by_its_thickness() -> None:
     workspace = replace(BARE, base_radius_m=0.1)
-    assert workspace.clearance([(0.3, 0.0, 0.2), (0.3, 0.3, 0.2)], LinkThickness((0.0, 0.05))) == (
-        pytest.approx(0.15),
-        BASE,
-    )
+    assert workspace.clearance([(0.3, 0.0, 0.2), (0.3, 0.3, 0.2)], LinkThickness((0.0, 0.05))) == (pytest.approx(0.15), BASE)
 
 
 def test_over_the_board_the_board_counts_and_beside_it_the_floor() -> None:
@@ -97,12 +89,18 @@ def test_a_board_above_the_floor_allows_no_less_than_the_floor() -> None:
 @pytest.mark.parametrize(
     ("roll", "pitch", "at", "plane_m"),
     [
-        (0.5, 0.0, (0.5, 0.1), 0.0), (0.5, 0.0, (0.5, -0.1), -0.05), (-0.5, 0.0, (0.5, 0.1), -0.05),
-        (0.0, 0.5, (0.6, 0.0), -0.05), (0.0, 0.5, (0.4, 0.0), 0.0), (0.0, -0.5, (0.4, 0.0), -0.05),
-        (0.5, 0.5, (0.6, -0.1), -0.05), (0.5, 0.25, (0.6, -0.1), -0.05), (0.25, 0.5, (0.6, -0.1), -0.05),
+        (0.5, 0.0, (0.5, 0.1), 0.0),
+        (0.5, 0.0, (0.5, -0.1), -0.05),
+        (-0.5, 0.0, (0.5, 0.1), -0.05),
+        (0.0, 0.5, (0.6, 0.0), -0.05),
+        (0.0, 0.5, (0.4, 0.0), 0.0),
+        (0.0, -0.5, (0.4, 0.0), -0.05),
+        (0.5, 0.5, (0.6, -0.1), -0.05),
+        (0.5, 0.25, (0.6, -0.1), -0.05),
+        (0.25, 0.5, (0.6, -0.1), -0.05),
         (0.5, 0.5, (0.4, 0.1), 0.0),
     ],
-)  # fmt: skip
+)
 def test_a_tilted_board_is_as_low_as_its_lower_tilt_or_flat(
     roll: float, pitch: float, at: tuple[float, float], plane_m: float
 ) -> None:
@@ -138,9 +136,9 @@ def test_the_body_that_hangs_on_the_base_does_not_count() -> None:
     workspace = replace(BARE, base_radius_m=0.1)
     corners = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.4), (0.5, 0.0, 0.3)]
     assert workspace.clearance(corners).distance_m == pytest.approx(-0.1)
-    assert workspace.clearance(
-        [*corners, (0.6, 0.0, 0.3)], LinkThickness((0.0,) * 4, first_free=2)
-    ).distance_m == pytest.approx(0.4)
+    assert workspace.clearance([*corners, (0.6, 0.0, 0.3)], LinkThickness((0.0,) * 4, first_free=2)).distance_m == pytest.approx(
+        0.4
+    )
 
 
 def test_without_a_radius_there_is_no_base() -> None:
@@ -170,10 +168,7 @@ def test_the_room_of_an_arm_is_what_its_file_says() -> None:
     limits = replace(RIGHT.limits, floor_clearance_m=0.02)
     workspace = Workspace.of(replace(RIGHT, limits=limits))
     assert workspace.floor_z_m == limits.floor_z_m + limits.floor_clearance_m
-    assert (workspace.tolerance_m, workspace.base_radius_m) == (
-        limits.floor_tolerance_m,
-        limits.base_radius_m,
-    )
+    assert (workspace.tolerance_m, workspace.base_radius_m) == (limits.floor_tolerance_m, limits.base_radius_m)
     assert workspace.base_top_m == RIGHT.links[0].d_m
     assert RIGHT.table is not None
     assert workspace.board is not None

@@ -98,7 +98,7 @@ def test_both_tips_keep_the_offset_on_the_mock(pauses: bool) -> None:
         (Waypoints(((0.0, -0.5, 0.0), (0.0, -0.5, 1.0)), None), "s after the start, at offset way-point 1.*out of reach|beyond"),
         (Waypoints(KEPT.points, None, (), ((1.0, 0.0, 0.0, 0.0),)), "without orientation"),
     ],
-)  # fmt: skip
+)
 def test_offsets_that_cannot_be_kept_are_refused_with_the_place(offsets: Waypoints, said: str) -> None:
     with pytest.raises(ArmError, match=said):
         planned(offsets)

@@ -68,10 +68,7 @@ def test_a_fault_of_one_stops_the_other_on_its_path_and_says_why() -> None:
         with pytest.raises(MotionStopped, match="arm 'right' is in FAULT: "):
             pair.clients["left"].arrive(1.0)
         # A joint move is a straight line in joint space, and so is a stop on its path.
-        shares = [
-            (q - a) / (b - a)
-            for q, a, b in zip(pair.runtime("left").set_point.q_rad, APART, FREE, strict=True)
-        ]
+        shares = [(q - a) / (b - a) for q, a, b in zip(pair.runtime("left").set_point.q_rad, APART, FREE, strict=True)]
         assert shares == pytest.approx([shares[0]] * 3, abs=1e-3)
         assert 0.3 < shares[0] < 1.0
 
@@ -81,9 +78,7 @@ def test_beside_an_arm_in_fault_only_jogs_and_hands_move_the_other() -> None:
         pair.inject("right", "over_temperature", "motor5")
         pair.until(lambda: pair.mode("right") is Mode.FAULT, 0.1)
         refusal = pair.refusal("left", do="move_joints", q_rad=FREE)
-        assert refusal.startswith(
-            "arm 'right' is in FAULT, so arm 'left' cannot move joints: `armwright acknowledge --arm"
-        )
+        assert refusal.startswith("arm 'right' is in FAULT, so arm 'left' cannot move joints: `armwright acknowledge --arm")
         assert pair.clients["left"].jog(joint=1, by_rad=0.05) == ""
         pair.robot("right").clear_faults()
         pair.until(lambda: pair.runtime("right").is_still(), 5.0)

@@ -73,9 +73,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
             process.communicate()
 
 
-def test_both_arms_move_ctrl_c_stops_both_and_their_recordings_belong_together(
-    served: Served, tmp_path: Path
-) -> None:
+def test_both_arms_move_ctrl_c_stops_both_and_their_recordings_belong_together(served: Served, tmp_path: Path) -> None:
     served.begin_to_move()
     recordings = [Path(client.status()["recording"]) for client in served.clients.values()]
     os.killpg(served.process.pid, signal.SIGINT)

@@ -25,9 +25,7 @@ class Script:
 
 
 @pytest.mark.parametrize("duration_s", [0.005, 0.5, 3.0])
-def test_an_average_that_never_comes_is_waited_for_as_long_as_a_paused_host_may_take(
-    duration_s: float,
-) -> None:
+def test_an_average_that_never_comes_is_waited_for_as_long_as_a_paused_host_may_take(duration_s: float) -> None:
     script = Script(average_result={"ok": True, "average": None}, status={"ok": True, "mode": "HOLDING"})
     with pytest.raises(ArmLate, match="the boards sent no values meanwhile"):
         ArmClient(script).average(duration_s)
@@ -35,10 +33,7 @@ def test_an_average_that_never_comes_is_waited_for_as_long_as_a_paused_host_may_
 
 
 def test_an_average_that_the_runtime_gave_up_is_not_waited_for() -> None:
-    script = Script(
-        average_result={"ok": False, "error": "joint 2 sent no counts"},
-        status={"ok": True, "mode": "HOLDING"},
-    )
+    script = Script(average_result={"ok": False, "error": "joint 2 sent no counts"}, status={"ok": True, "mode": "HOLDING"})
     with pytest.raises(ArmLate, match="joint 2 sent no counts"):
         ArmClient(script).average(0.5)
     assert script.now_s < 0.1

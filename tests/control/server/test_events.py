@@ -129,9 +129,7 @@ def test_an_arm_that_its_boards_hold_is_told_at_the_start() -> None:
         restarted(before, on.arm, on.period_s) as held,
     ):
         held.run(0.1)
-        assert heard_by(held) == [
-            "held by its boards: `armwright enable` takes it over, `armwright off` lets it go"
-        ]
+        assert heard_by(held) == ["held by its boards: `armwright enable` takes it over, `armwright off` lets it go"]
 
 
 def test_homing_is_told_and_polling_is_not() -> None:
@@ -158,16 +156,12 @@ def test_a_client_that_hangs_up_is_told_where_its_motion_ran(cell: Cell) -> None
 
 def test_what_is_said_is_printed_before_the_printer_ends() -> None:
     program = "from control.server.printer import Printer; p = Printer(); p.say('one\\n'); p.say('two\\n'); p.close()"
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
-    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300)
     assert ended.stdout == "one\ntwo\n"
 
 
 def test_a_plain_ascii_terminal_gets_what_is_printed_in_ascii() -> None:
-    program = (
-        "from control.server.printer import Printer; p = Printer(); p.say('größe 5 °C → off\\n'); p.close()"
-    )
+    program = "from control.server.printer import Printer; p = Printer(); p.say('größe 5 °C → off\\n'); p.close()"
     ended = subprocess.run(
         [sys.executable, "-c", program],
         env=os.environ | {"PYTHONIOENCODING": "ascii"},

@@ -57,8 +57,6 @@ with open_cell(scenario(effect=FRICTION)) as cell:
 
 
 def test_nothing_is_imported_between_enabling_and_switching_off() -> None:
-    ended = subprocess.run(
-        [sys.executable, "-c", SESSION], capture_output=True, text=True, cwd=ROOT, check=False, timeout=300
-    )
+    ended = subprocess.run([sys.executable, "-c", SESSION], capture_output=True, text=True, cwd=ROOT, check=False, timeout=300)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines()[-1] == "imported late: []"

@@ -28,9 +28,7 @@ def joint_path(knots: int = KNOTS) -> dict[str, Any]:
     for ends in rows[1:]:
         ends[0] = ends[-1] = [0.0] * 3
     times_s = [0.025 * k for k in range(knots)]
-    return dict(
-        zip(("times_s", "q_rad", "speed_rad_s", "acceleration_rad_s2"), (times_s, *rows), strict=True)
-    )
+    return dict(zip(("times_s", "q_rad", "speed_rad_s", "acceleration_rad_s2"), (times_s, *rows), strict=True))
 
 
 def line_of(do: str, **keys: Any) -> bytes:

@@ -133,11 +133,17 @@ def test_on_a_busy_host_few_cycles_wait_in_vain_although_reports_spread_wider_th
 @pytest.mark.parametrize(
     "line",
     [
-        Line(), Line(jitter_s=5e-4), Line(loss=0.5), Line(stall=0.5), Line(5e-3), Line(loss=1.0),
-        Line(is_frozen=True), Line(silent_s=(3.0, 3.2)),
+        Line(),
+        Line(jitter_s=5e-4),
+        Line(loss=0.5),
+        Line(stall=0.5),
+        Line(5e-3),
+        Line(loss=1.0),
+        Line(is_frozen=True),
+        Line(silent_s=(3.0, 3.2)),
     ],
     ids=["even", "uneven", "half lost", "half late", "fast", "silent", "frozen", "interrupted"],
-)  # fmt: skip
+)
 def test_whatever_the_line_does_no_cycle_waits_beyond_its_bound_and_the_phase_never_jumps(line: Line) -> None:
     cycles = run(line, 6.0)
     assert max(cycles.waits_s) <= BOUND * PERIOD_s

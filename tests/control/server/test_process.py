@@ -111,10 +111,22 @@ def serving(tmp_path: Path) -> Iterator[Served]:
         save_arm(patient(wired_to(RIGHT, rig)), tmp_path / "arm.toml")
         path = tmp_path / "arm.sock"
         process = started(
-            [sys.executable, "-m", "console.main", "serve", "--arm", str(tmp_path / "arm.toml"), "--socket", str(path),
-             "--log", str(tmp_path / "log"), "--rate", "250"],
+            [
+                sys.executable,
+                "-m",
+                "console.main",
+                "serve",
+                "--arm",
+                str(tmp_path / "arm.toml"),
+                "--socket",
+                str(path),
+                "--log",
+                str(tmp_path / "log"),
+                "--rate",
+                "250",
+            ],
             path,
-        )  # fmt: skip
+        )
         try:
             client = ArmClient(SocketChannel(path, LIMIT_s))
             yield Served(rig, process, client, Path(client.status()["recording"]), tmp_path / "arm.toml")
@@ -128,9 +140,7 @@ def started(command: list[str], path: Path) -> subprocess.Popen[str]:
     """The runtime, serving; again when the machine paused for so long that a mock board could not answer in time."""
     said = []
     for _ in range(4):
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-        )
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
         end_s = time.monotonic() + LIMIT_s
         while time.monotonic() < end_s and process.poll() is None:
             if path.is_socket():
@@ -162,9 +172,7 @@ def test_ctrl_c_while_moving_stops_lowers_and_ends_with_status_0(served: Served)
         served.client.status()
 
 
-def test_a_loop_that_is_killed_leaves_an_arm_that_its_boards_brake_and_a_recording_up_to_then(
-    served: Served,
-) -> None:
+def test_a_loop_that_is_killed_leaves_an_arm_that_its_boards_brake_and_a_recording_up_to_then(served: Served) -> None:
     served.begin_to_move()
     asked = served.client.status()
     served.process.kill()
@@ -173,9 +181,7 @@ def test_a_loop_that_is_killed_leaves_an_arm_that_its_boards_brake_and_a_recordi
     assert abs(served.rig.joint_rad()[0]) < 0.95  # it did not arrive
     served.until(lambda: rows_of(served.recording)[-1]["t_s"] >= asked["t_s"])
     rows = rows_of(served.recording)
-    assert [row["cycle"] for row in rows] == list(
-        range(int(rows[0]["cycle"]), int(rows[0]["cycle"]) + len(rows))
-    )
+    assert [row["cycle"] for row in rows] == list(range(int(rows[0]["cycle"]), int(rows[0]["cycle"]) + len(rows)))
 
 
 def children_of(pid: int) -> list[int]:
@@ -225,9 +231,7 @@ def test_without_its_writer_the_loop_goes_on_and_says_that_rows_are_lost(served:
     assert served.process.wait(LIMIT_s) == 0
 
 
-def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_notice(
-    served: Served, tmp_path: Path
-) -> None:
+def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_notice(served: Served, tmp_path: Path) -> None:
     enable(served.client)
     arguments = [
         "serve",
@@ -239,11 +243,7 @@ def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_no
         str(tmp_path / "two"),
     ]
     second = subprocess.run(
-        [sys.executable, "-m", "console.main", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=LIMIT_s,
+        [sys.executable, "-m", "console.main", *arguments], capture_output=True, text=True, check=False, timeout=LIMIT_s
     )
     assert second.returncode == 2
     assert second.stderr.startswith("armwright: a runtime already serves at")
@@ -282,9 +282,14 @@ def test_a_command_that_would_open_the_boards_of_a_moving_arm_names_who_has_them
     arguments = [sys.executable, "-m", "console.main", *command, "--arm", str(served.arm_file)]
     path = os.pathsep.join(sys.path)
     other = subprocess.run(
-        arguments, capture_output=True, text=True, check=False, timeout=LIMIT_s, cwd=tmp_path,
+        arguments,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT_s,
+        cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    )
     assert other.returncode == (1 if command[0] == "doctor" else 2), other.stderr
     said = f"in use by process {served.process.pid} "
     assert said in other.stdout + other.stderr

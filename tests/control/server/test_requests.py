@@ -26,17 +26,39 @@ def snapshot(cell: Cell) -> tuple[object, ...]:
     """What a request could change."""
     runtime = cell.runtime
     return (
-        runtime.monitor.mode, runtime.motion, runtime.run_number, runtime.set_point, runtime.averaging, runtime.bound,
-        runtime.jogging, runtime.override, runtime.is_weightless,
-        runtime.parts.loads.masses_kg, runtime.parts.tool, runtime.monitor.is_homed,
-    )  # fmt: skip
+        runtime.monitor.mode,
+        runtime.motion,
+        runtime.run_number,
+        runtime.set_point,
+        runtime.averaging,
+        runtime.bound,
+        runtime.jogging,
+        runtime.override,
+        runtime.is_weightless,
+        runtime.parts.loads.masses_kg,
+        runtime.parts.tool,
+        runtime.monitor.is_homed,
+    )
 
 
 NUMBERS = [None, "1", [], {}, True, -1.0, 1e300, math.inf, math.nan]
 POSES = [
-    None, 1.0, "abc", {}, [], [0.1, 0.2], [0.1, 0.2, 0.3, 0.4], [0.1, "0.2", 0.3], [0.1, None, 0.3], [0.1, math.nan, 0.3],
-    [math.inf, 0.0, 0.0], [[0.1], [0.2], [0.3]], [9.0, 0.0, 0.0], [0.0, 0.9, 0.0], [True, False, True],
-]  # fmt: skip
+    None,
+    1.0,
+    "abc",
+    {},
+    [],
+    [0.1, 0.2],
+    [0.1, 0.2, 0.3, 0.4],
+    [0.1, "0.2", 0.3],
+    [0.1, None, 0.3],
+    [0.1, math.nan, 0.3],
+    [math.inf, 0.0, 0.0],
+    [[0.1], [0.2], [0.3]],
+    [9.0, 0.0, 0.0],
+    [0.0, 0.9, 0.0],
+    [True, False, True],
+]
 
 
 def resting_at(pose: tuple[float, ...]) -> dict[str, Any]:
@@ -47,7 +69,13 @@ def resting_at(pose: tuple[float, ...]) -> dict[str, Any]:
 
 
 BAD: list[dict[str, Any]] = [
-    {}, {"do": None}, {"do": 5}, {"do": ["status"]}, {"do": "dance"}, {"do": "__init__"}, {"do": ""},
+    {},
+    {"do": None},
+    {"do": 5},
+    {"do": ["status"]},
+    {"do": "dance"},
+    {"do": "__init__"},
+    {"do": ""},
     *({"do": "move_joints", "q_rad": pose} for pose in POSES),
     {"do": "move_joints"},
     *({"do": "move_joints", "q_rad": list(STRETCHED), "speed": number} for number in [*NUMBERS, 0.0, 1.0001]),
@@ -61,9 +89,15 @@ BAD: list[dict[str, Any]] = [
     {"do": "run_joints"},
     *({"do": "run_joints", "path": path} for path in [None, 1, "x", [], {}, {"times_s": [0.0, 1.0], "q_rad": 5}]),
     *({"do": "run_joints", "path": resting_at(pose)} for pose in [STRETCHED[:2], (0.0, 0.9, 0.0), (0.5, -0.5, 0.0)]),
-    {"do": "acknowledge"}, {"do": "pause"}, {"do": "resume"}, {"do": "jog_on"},
+    {"do": "acknowledge"},
+    {"do": "pause"},
+    {"do": "resume"},
+    {"do": "jog_on"},
     *({"do": "override", "fraction": number} for number in [*NUMBERS, 0.0, 1.01]),
-    {"do": "jog"}, {"do": "jog", "axis": "z"}, {"do": "jog", "joint": 1}, {"do": "jog", "joint": 1, "axis": "x", "by_m": 0.01},
+    {"do": "jog"},
+    {"do": "jog", "axis": "z"},
+    {"do": "jog", "joint": 1},
+    {"do": "jog", "joint": 1, "axis": "x", "by_m": 0.01},
     *({"do": "jog", "joint_speed_rad_s": pose} for pose in POSES[:12]),
     *({"do": "jog", "tip_velocity_m_s": pose} for pose in POSES[:12]),
     *({"do": "jog", "joint": number, "by_rad": 0.1} for number in [*NUMBERS, 0, 4, 1.5]),
@@ -72,7 +106,7 @@ BAD: list[dict[str, Any]] = [
     *({"do": "jog", "axis": axis, "by_m": 0.01} for axis in [None, 3, "w", ["x"], ""]),
     *({"do": "jog", "axis": "z", "by_m": number} for number in [*(n for n in NUMBERS if n != -1.0), 1.1]),
     *({"do": "jog", "axis": "z", "by_m": 0.01, "speed_m_s": number} for number in [*NUMBERS[1:], 0.0]),
-]  # fmt: skip
+]
 
 
 @pytest.fixture(scope="module")
@@ -82,9 +116,7 @@ def held() -> Any:
 
 
 @pytest.mark.parametrize("request_", BAD, ids=str)
-def test_a_request_that_is_wrong_is_refused_with_a_reason_and_changes_nothing(
-    held: Cell, request_: dict[str, Any]
-) -> None:
+def test_a_request_that_is_wrong_is_refused_with_a_reason_and_changes_nothing(held: Cell, request_: dict[str, Any]) -> None:
     before = snapshot(held)
     answer = handled(held, request_, 7)
     assert answer["ok"] is False
@@ -96,48 +128,24 @@ def test_a_request_that_is_wrong_is_refused_with_a_reason_and_changes_nothing(
 def values() -> st.SearchStrategy[Any]:
     plain = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
     return st.recursive(
-        plain,
-        lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+        plain, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
     )
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     do=st.sampled_from(
-        [
-            "status",
-            "move_joints",
-            "run_path",
-            "jog",
-            "override",
-            "average",
-            "average_result",
-            "payload",
-            "fault_cycles",
-        ]
+        ["status", "move_joints", "run_path", "jog", "override", "average", "average_result", "payload", "fault_cycles"]
     )
     | values(),
     keys=st.dictionaries(
         st.sampled_from(
-            [
-                "q_rad",
-                "speed",
-                "path",
-                "duration_s",
-                "mass_kg",
-                "id",
-                "detached",
-                "joint",
-                "axis",
-                "tip_velocity_m_s",
-            ]
+            ["q_rad", "speed", "path", "duration_s", "mass_kg", "id", "detached", "joint", "axis", "tip_velocity_m_s"]
         ),
         values(),
     ),
 )
-def test_whatever_json_says_it_is_answered_and_never_raises(
-    held: Cell, do: Any, keys: dict[str, Any]
-) -> None:
+def test_whatever_json_says_it_is_answered_and_never_raises(held: Cell, do: Any, keys: dict[str, Any]) -> None:
     answer = handled(held, {"do": do, **keys}, 7)
     assert isinstance(answer["ok"], bool)
     msgspec.json.encode(answer)
@@ -155,9 +163,7 @@ def test_a_path_with_a_part_that_is_wrong_is_refused(held: Cell, key: str, value
     assert snapshot(held) == before
 
 
-PATH = json.loads(
-    json.dumps(plan_path(RIGHT, [(0.5, 0.0, 0.1), (0.5, 0.1, 0.1), (0.5, 0.1, 0.15)], 0.1).to_message())
-)
+PATH = json.loads(json.dumps(plan_path(RIGHT, [(0.5, 0.0, 0.1), (0.5, 0.1, 0.1), (0.5, 0.1, 0.15)], 0.1).to_message()))
 
 
 def test_a_path_is_refused_where_the_arm_does_not_stand_at_its_first_point(held: Cell) -> None:
@@ -251,26 +257,11 @@ def test_every_key_of_the_status_is_documented_and_every_documented_one_is_there
 
 
 def test_every_argument_of_a_request_is_documented() -> None:
-    kinds = [
-        kind
-        for kind in vars(messages).values()
-        if isinstance(kind, type) and issubclass(kind, messages._Message)
-    ]
+    kinds = [kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, messages._Message)]
     asked = {name for kind in kinds for name in kind.__struct_fields__}
     said = set(re.findall(r"`(\w+)`", DOCUMENT)) | set(re.findall(r'"(\w+)": true', DOCUMENT))
     assert asked <= said
-    assert asked >= {
-        "q_rad",
-        "speed",
-        "path",
-        "duration_s",
-        "mass_kg",
-        "detached",
-        "again",
-        "quit",
-        "do",
-        "by_rad",
-    }
+    assert asked >= {"q_rad", "speed", "path", "duration_s", "mass_kg", "detached", "again", "quit", "do", "by_rad"}
 
 
 # ---- strict types
@@ -287,10 +278,8 @@ def test_every_argument_of_a_request_is_documented() -> None:
         ({"do": "jog", "joint": 1.5, "by_rad": 0.1}, "joint: expected a whole number, got 1.5"),
         ({"do": "payload", "mass_kg": 100.0}, "expected mass_kg from 0 to 5 kg ([limits] payload_limit_kg), got 100"),
     ],
-)  # fmt: skip
-def test_a_refusal_names_the_key_what_was_expected_and_what_came(
-    held: Cell, request_: dict[str, Any], complaint: str
-) -> None:
+)
+def test_a_refusal_names_the_key_what_was_expected_and_what_came(held: Cell, request_: dict[str, Any], complaint: str) -> None:
     assert complaint in handled(held, request_, 7)["error"]
 
 
@@ -302,9 +291,7 @@ def test_a_path_is_not_read_while_the_arm_moves(cell: Cell, monkeypatch: pytest.
     assert "control" in handled(cell, {"do": "run_path", "path": PATH}, 9)["error"]
 
 
-def test_a_long_line_is_read_only_where_it_carries_a_path(
-    held: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_line_is_read_only_where_it_carries_a_path(held: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Anybody may ask to watch or to stop, and a wrong value of a megabyte cost ten cycles."""
     most = messages.LONGEST_PLAIN_bytes
     monkeypatch.setattr(messages, "_complaint", lambda line, error: pytest.fail("it was read"))
@@ -317,10 +304,18 @@ def test_a_long_line_is_read_only_where_it_carries_a_path(
 
 
 COMMANDS = [
-    {"do": "override", "fraction": 1.0}, {"do": "resume"}, {"do": "payload", "mass_kg": 1.0}, {"do": "guide"}, {"do": "enable"},
-    {"do": "move_joints", "q_rad": [0.0, 0.0, 0.5]}, {"do": "home"}, {"do": "average", "duration_s": 1.0}, {"do": "hold"},
-    {"do": "jog", "joint": 1, "by_rad": 0.1}, {"do": "control", "take": True},
-]  # fmt: skip
+    {"do": "override", "fraction": 1.0},
+    {"do": "resume"},
+    {"do": "payload", "mass_kg": 1.0},
+    {"do": "guide"},
+    {"do": "enable"},
+    {"do": "move_joints", "q_rad": [0.0, 0.0, 0.5]},
+    {"do": "home"},
+    {"do": "average", "duration_s": 1.0},
+    {"do": "hold"},
+    {"do": "jog", "joint": 1, "by_rad": 0.1},
+    {"do": "control", "take": True},
+]
 
 
 def test_while_one_client_moves_the_arm_another_may_watch_and_stop_only(cell: Cell) -> None:
@@ -335,9 +330,7 @@ def test_while_one_client_moves_the_arm_another_may_watch_and_stop_only(cell: Ce
     assert "client 0 has control" in handled(cell, {"do": "resume"}, 9)["error"]
     assert handled(cell, {"do": "stop"}, 9)["ok"]
     cell.until(lambda: cell.mode is Mode.HOLDING, 1.0)
-    assert handled(cell, {"do": "override", "fraction": 0.5}, 9)[
-        "ok"
-    ]  # nothing goes on: the next command is free
+    assert handled(cell, {"do": "override", "fraction": 0.5}, 9)["ok"]  # nothing goes on: the next command is free
 
 
 def test_control_of_a_client_that_hangs_can_be_ended_and_it_commands_nothing_more(cell: Cell) -> None:
@@ -346,11 +339,7 @@ def test_control_of_a_client_that_hangs_can_be_ended_and_it_commands_nothing_mor
     cell.run(0.1)
     refusal = handled(cell, COMMANDS[0], 9)["error"]
     assert "`armwright stop --take` also ends" in refusal
-    assert handled(cell, {"do": "control", "revoke": True}, 9) == {
-        "ok": True,
-        "client": 9,
-        "in_control": None,
-    }
+    assert handled(cell, {"do": "control", "revoke": True}, 9) == {"ok": True, "client": 9, "in_control": None}
     cell.run(0.6)
     assert cell.mode is Mode.HOLDING
     assert cell.runtime.was_stopped

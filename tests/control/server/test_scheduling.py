@@ -16,25 +16,13 @@ import pytest
 from control.loop.drives import Bound
 from control.loop.parts import Punctuality
 from control.server.process import run
-from control.server.scheduling import (
-    ALGEBRA,
-    COLLECT_EVERY_S,
-    MOST_YOUNG,
-    Collector,
-    isolated_cpus,
-    mapped,
-    strain,
-)
+from control.server.scheduling import ALGEBRA, COLLECT_EVERY_S, MOST_YOUNG, Collector, isolated_cpus, mapped, strain
 from control.server.server import Server
 from tests.cell import open_cell
 
 
-@pytest.mark.parametrize(
-    ("text", "cpus"), [("", set()), ("3", {3}), ("2-3", {2, 3}), ("1,4-6\n", {1, 4, 5, 6})], ids=str
-)
-def test_isolated_processors_are_read_as_the_kernel_lists_them(
-    tmp_path: Path, text: str, cpus: set[int]
-) -> None:
+@pytest.mark.parametrize(("text", "cpus"), [("", set()), ("3", {3}), ("2-3", {2, 3}), ("1,4-6\n", {1, 4, 5, 6})], ids=str)
+def test_isolated_processors_are_read_as_the_kernel_lists_them(tmp_path: Path, text: str, cpus: set[int]) -> None:
     (tmp_path / "isolated").write_text(text)
     assert isolated_cpus(tmp_path / "isolated") == cpus
     assert isolated_cpus(tmp_path / "absent") == set()
@@ -150,6 +138,7 @@ def test_what_is_mapped_is_read_as_the_kernel_lists_it() -> None:
     )
     found = list(mapped(text))
     assert [(end - start, name) for start, end, name in found] == [
-        (32 << 20, ""), (0x2000, "/a folder/libscipy_openblas64_-32a4.so")
-    ]  # fmt: skip
+        (32 << 20, ""),
+        (0x2000, "/a folder/libscipy_openblas64_-32a4.so"),
+    ]
     assert [bool(ALGEBRA.search(name)) for _, _, name in found] == [False, True]

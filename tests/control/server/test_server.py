@@ -40,15 +40,10 @@ from tests.cell import Cell
 class Bench:
     """A server whose handler notes what it is asked, and plain sockets to it."""
 
-    def __init__(
-        self, path: Path, serve: Handle | None = None, on_gone: Callable[[int], None] | None = None
-    ) -> None:
+    def __init__(self, path: Path, serve: Handle | None = None, on_gone: Callable[[int], None] | None = None) -> None:
         self.asked: list[tuple[dict[str, Any], int]] = []
         self.gone: list[int] = []
-        self.handle: Callable[[dict[str, Any]], dict[str, Any]] = lambda request: {
-            "ok": True,
-            "do": request.get("do"),
-        }
+        self.handle: Callable[[dict[str, Any]], dict[str, Any]] = lambda request: {"ok": True, "do": request.get("do")}
         self.server = Server(path, serve or self.serve, on_gone or self.gone.append)
         self.sockets: list[socket.socket] = []
 
@@ -115,10 +110,24 @@ def test_an_id_comes_back_with_its_answer(bench: Bench) -> None:
 
 
 GARBAGE = [
-    b"\x00\xff\xfe\n", b"hello\n", b"{\n", b"[1, 2]\n", b"null\n", b"5\n", b'"do"\n', b'{"do": NaN}\n', b'{"do": 1e999}\n',
-    b'{"do": "\xff"}\n', b'{"do": "a"} {"do": "b"}\n', b"[" * 100_000 + b"\n", b'{"a":' * 20_000 + b"\n", b"\r\r\r\n",
-    b'{"id": 123456789012345678901234567890, "do": 5.5}\n', b'{"do": "\\ud800"}\n', b"GET / HTTP/1.1\r\n",
-]  # fmt: skip
+    b"\x00\xff\xfe\n",
+    b"hello\n",
+    b"{\n",
+    b"[1, 2]\n",
+    b"null\n",
+    b"5\n",
+    b'"do"\n',
+    b'{"do": NaN}\n',
+    b'{"do": 1e999}\n',
+    b'{"do": "\xff"}\n',
+    b'{"do": "a"} {"do": "b"}\n',
+    b"[" * 100_000 + b"\n",
+    b'{"a":' * 20_000 + b"\n",
+    b"\r\r\r\n",
+    b'{"id": 123456789012345678901234567890, "do": 5.5}\n',
+    b'{"do": "\\ud800"}\n',
+    b"GET / HTTP/1.1\r\n",
+]
 
 
 @pytest.mark.parametrize("garbage", GARBAGE, ids=lambda line: repr(line[:20]))
@@ -130,9 +139,7 @@ def test_garbage_is_answered_or_skipped_and_the_next_request_is_served(bench: Be
     bench.poll(10)
     lines = one.recv(1 << 20).splitlines()
     assert json.loads(lines[-1]) == {"ok": True, "do": "after"}
-    assert all(
-        json.loads(line)["ok"] is False for line in lines[:-1] if b"after" not in line and b"5.5" not in line
-    )
+    assert all(json.loads(line)["ok"] is False for line in lines[:-1] if b"after" not in line and b"5.5" not in line)
 
 
 def test_random_bytes_never_stop_the_server(bench: Bench) -> None:
@@ -204,14 +211,10 @@ def test_what_a_flood_costs_a_cycle_is_bounded(bench: Bench) -> None:
         begun_s = time.process_time()  # of this process alone
         bench.poll(1)
         took_s.append(time.process_time() - begun_s)
-    assert (
-        median(took_s) < 2e-3
-    )  # each meets a full socket; the median, as other programs empty the caches at times
+    assert median(took_s) < 2e-3  # each meets a full socket; the median, as other programs empty the caches at times
 
 
-def test_all_clients_together_take_no_more_of_a_cycle_than_one_and_a_stop_among_them_is_heard_at_once(
-    bench: Bench,
-) -> None:
+def test_all_clients_together_take_no_more_of_a_cycle_than_one_and_a_stop_among_them_is_heard_at_once(bench: Bench) -> None:
     crowd = [bench.client() for _ in range(CLIENT_LIMIT)]
     bench.poll(CLIENT_LIMIT)
     for one in crowd:
@@ -340,9 +343,7 @@ def test_a_path_that_no_socket_can_have_is_said_in_a_sentence(tmp_path: Path) ->
         Bench(tmp_path / ("x" * 200))
 
 
-def test_only_the_user_who_started_the_runtime_can_open_its_socket(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_user_who_started_the_runtime_can_open_its_socket(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     assert stat.S_IMODE(bench.server.path.stat().st_mode) == 0o600
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     assert default_path("right") == Path(f"/tmp/armwright-{os.getuid()}/right.sock")
@@ -422,9 +423,7 @@ def test_a_socket_in_a_folder_that_everybody_may_write_to_is_refused(tmp_path: P
     Bench(tmp_path / "arm.sock").close()
 
 
-def test_a_client_sends_nothing_to_the_runtime_of_another_user(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_sends_nothing_to_the_runtime_of_another_user(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "getuid", lambda: 12345)
     monkeypatch.setattr(os, "geteuid", lambda: 12345)
     with pytest.raises(RuntimeGone, match="runs as user"):
@@ -520,9 +519,7 @@ def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next_one(tmp_path
         channel = SocketChannel(path)
         runtime, _ = listener.accept()
         with runtime:
-            runtime.sendall(
-                b'{"ok": true, "id": 0, "mode": "GUIDING"}\n{"ok": true, "id": 1, "mode": "HOLDING"}\n'
-            )
+            runtime.sendall(b'{"ok": true, "id": 0, "mode": "GUIDING"}\n{"ok": true, "id": 1, "mode": "HOLDING"}\n')
             assert channel.request({"do": "hold"})["mode"] == "HOLDING"
             assert json.loads(runtime.recv(1000)) == {"do": "hold", "id": 1}
             channel.close()
@@ -530,10 +527,7 @@ def test_an_answer_that_nobody_waited_for_is_not_taken_for_the_next_one(tmp_path
 
 def test_a_file_name_that_is_no_text_ends_no_runtime() -> None:
     name = b"/log/by\xfcte".decode("ascii", "surrogateescape")
-    assert json.loads(encoded({"recording": name, "t_s": 1.5})) == {
-        "recording": "/log/by\ufffdte",
-        "t_s": 1.5,
-    }
+    assert json.loads(encoded({"recording": name, "t_s": 1.5})) == {"recording": "/log/by\ufffdte", "t_s": 1.5}
     name = "/log/prüfung".encode().decode("ascii", "surrogateescape")  # of a process with LC_ALL=C
     assert json.loads(encoded({"recording": name})) == {"recording": "/log/prüfung"}
 
@@ -545,9 +539,7 @@ def test_an_arm_s_name_leads_to_no_other_folder(name: str) -> None:
     assert find_sockets(name) == []
 
 
-def test_an_arm_that_does_not_run_is_answered_with_those_that_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arm_that_does_not_run_is_answered_with_those_that_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     folder = tmp_path / "armwright"
     folder.mkdir(mode=0o700)
@@ -556,7 +548,5 @@ def test_an_arm_that_does_not_run_is_answered_with_those_that_do(
         left_over.bind(str(folder / "gone.sock"))  # a killed runtime's
         listens.bind(str(folder / "fee5.sock"))
         listens.listen()
-        with pytest.raises(
-            RuntimeGone, match=r"start one with `armwright serve`, or ask the one that runs: `--arm fee5`$"
-        ):
+        with pytest.raises(RuntimeGone, match=r"start one with `armwright serve`, or ask the one that runs: `--arm fee5`$"):
             SocketChannel(folder / "right.sock")

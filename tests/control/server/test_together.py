@@ -68,9 +68,7 @@ def test_a_path_of_one_and_a_move_of_the_other() -> None:
         moves = {"right": {"path": path.to_message()}, "left": {"q_rad": (0.2, -0.6, 0.3)}}
         duration_s = pair.clients["right"].ask("move_together", moves=moves)["duration_s"]
         assert duration_s == pytest.approx(path.duration_s)
-        assert ends_s(pair, duration_s + 0.1)["left"] == pytest.approx(
-            pair.rig.clock.now_s(), abs=2.5 * PERIOD_S
-        )
+        assert ends_s(pair, duration_s + 0.1)["left"] == pytest.approx(pair.rig.clock.now_s(), abs=2.5 * PERIOD_S)
 
 
 def test_motions_that_would_meet_are_refused_and_neither_begins() -> None:
@@ -89,10 +87,8 @@ def test_motions_that_would_meet_are_refused_and_neither_begins() -> None:
         ({"left": {"q_rad": NEAR}, "right": {}}, "expected either q_rad or path for each arm"),
         ({"left": {"q_rad": NEAR}, "right": {"q": NEAR}}, "unknown field `q`"),
     ],
-)  # fmt: skip
-def test_what_is_wrong_with_one_is_said_and_neither_begins(
-    together: Pair, moves: dict[str, object], said: str
-) -> None:
+)
+def test_what_is_wrong_with_one_is_said_and_neither_begins(together: Pair, moves: dict[str, object], said: str) -> None:
     assert said in together.refusal("left", do="move_together", moves=moves)
     assert together.mode("left") is together.mode("right") is Mode.HOLDING
 

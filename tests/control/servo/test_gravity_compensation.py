@@ -21,9 +21,7 @@ def sag_rad(cell: Cell, duration_s: float) -> float:
 
 
 @pytest.mark.parametrize("q_rad", POSES)
-def test_the_drives_carry_an_arm_without_friction_where_it_would_fall_without_them(
-    q_rad: tuple[float, ...],
-) -> None:
+def test_the_drives_carry_an_arm_without_friction_where_it_would_fall_without_them(q_rad: tuple[float, ...]) -> None:
     with holding_cell(scenario(q_rad)) as cell:
         cell.run(0.3)
         cell.client.guide(weightless=True)

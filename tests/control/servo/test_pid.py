@@ -218,7 +218,5 @@ def test_output_stays_in_its_limits_and_finite_for_any_finite_history():
     for _ in range(20_000):
         upper = random_numbers.uniform(0.0, 24.0)
         error = random_numbers.choice([0.0, 1e-300, 1e6, -1e6, random_numbers.gauss(0.0, 1.0)])
-        output = pid.update(
-            error, random_numbers.gauss(0, 100.0), random_numbers.gauss(0, 10.0), -upper, upper
-        )
+        output = pid.update(error, random_numbers.gauss(0, 100.0), random_numbers.gauss(0, 10.0), -upper, upper)
         assert -upper <= output <= upper

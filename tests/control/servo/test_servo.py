@@ -14,9 +14,7 @@ from control.motion.setpoint import SetPoint, at_rest
 from control.servo.pid import Pid
 from control.servo.servo import MotionTorque, Motor, Servo
 
-MOTOR = Motor(
-    amperes_per_Nm=1 / 3.0, resistance_ohm=0.3, volts_per_rad_s=3.0, supply_V=24.0, current_limit_A=8.0
-)
+MOTOR = Motor(amperes_per_Nm=1 / 3.0, resistance_ohm=0.3, volts_per_rad_s=3.0, supply_V=24.0, current_limit_A=8.0)
 
 
 class Constant:
@@ -25,15 +23,11 @@ class Constant:
     def __init__(self, torque_Nm: float) -> None:
         self.torque_Nm = torque_Nm
 
-    def __call__(
-        self, q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float]
-    ) -> Sequence[float]:
+    def __call__(self, q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float]) -> Sequence[float]:
         return (self.torque_Nm,)
 
 
-def servo(
-    mode: OutputMode, torque_Nm: float = 0.0, kp: float = 100.0, ki: float = 0.0, kd: float = 0.0
-) -> Servo:
+def servo(mode: OutputMode, torque_Nm: float = 0.0, kp: float = 100.0, ki: float = 0.0, kd: float = 0.0) -> Servo:
     return Servo([mode], [MOTOR], [Pid(kp, ki, kd, 0.0, 24.0, 0.002)], Constant(torque_Nm), 0.002)
 
 

@@ -113,9 +113,7 @@ def test_frames_are_those_of_the_standard() -> None:
     bus = CanOpenBus(wired, wired)
     assert wire.read_request(STATUSWORD) == golden("SDO read 0x6041:00")[1]
     assert wire.write_request(DictionaryObject(0x6060, 0, "i8"), 8) == golden("SDO write 0x6060:00 = 8")[1]
-    assert (
-        wire.write_request(DictionaryObject(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
-    )
+    assert wire.write_request(DictionaryObject(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
     consumer = wire.write_request(DictionaryObject(0x1016, 1, "u32"), 127 << 16 | 200)
     assert consumer == golden("SDO write 0x1016:01 = node 127, 200 ms")[1]
     mapped = wire.write_request(DictionaryObject(0x1A00, 1, "u32"), STATUSWORD.mapping)
@@ -140,9 +138,7 @@ def test_the_drive_is_brought_to_operation_at_its_present_position(cell: Cell) -
 @pytest.mark.parametrize(
     ("maker", "limit"), [({}, ((0x6072, 0), 800)), ({"vendor": MAXON, "product": EPOS4}, ((0x3001, 2), 8000))]
 )
-def test_each_drive_is_asked_for_what_it_has(
-    maker: dict[str, int], limit: tuple[tuple[int, int], int]
-) -> None:
+def test_each_drive_is_asked_for_what_it_has(maker: dict[str, int], limit: tuple[tuple[int, int], int]) -> None:
     """Rated torque 0.5 N m and 10 A, supply and limit of the current: by CiA 402, and by maxon's EDS of the EPOS4."""
     cell = Cell(**maker)
     cell.drive.identify()
@@ -212,9 +208,7 @@ def test_silence_and_a_bad_node_id_are_errors_that_say_where() -> None:
 
 
 @pytest.mark.parametrize("is_torque", [False, True])
-def test_a_drive_that_is_found_in_operation_stays_in_it_when_it_is_commanded(
-    cell: Cell, is_torque: bool
-) -> None:
+def test_a_drive_that_is_found_in_operation_stays_in_it_when_it_is_commanded(cell: Cell, is_torque: bool) -> None:
     cell.mock.switch_torque(True, 0.0)  # by another host
     for _ in range(3):
         if is_torque:
@@ -226,12 +220,8 @@ def test_a_drive_that_is_found_in_operation_stays_in_it_when_it_is_commanded(
     assert set(cell.states[-4:]) == {MockState.ENABLED}
 
 
-@pytest.mark.parametrize(
-    ("mode", "state"), [(8, MockState.ENABLED), (9, MockState.QUICK_STOP), (10, MockState.QUICK_STOP)]
-)
-def test_a_torque_or_speed_that_another_host_left_is_not_kept_alive_by_our_heartbeats(
-    mode: int, state: MockState
-) -> None:
+@pytest.mark.parametrize(("mode", "state"), [(8, MockState.ENABLED), (9, MockState.QUICK_STOP), (10, MockState.QUICK_STOP)])
+def test_a_torque_or_speed_that_another_host_left_is_not_kept_alive_by_our_heartbeats(mode: int, state: MockState) -> None:
     cell = Cell()
     cell.wired.wait_until_s(0.01)
     cell.mock.switch_torque(True, 0.0)

@@ -4,14 +4,7 @@ from itertools import product
 
 import pytest
 
-from firmware_iface.motor.cia402 import (
-    STATE_OF_STATUSWORD,
-    TRANSITIONS,
-    DriveCommand,
-    DriveState,
-    after,
-    next_command,
-)
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, TRANSITIONS, DriveCommand, DriveState, after, next_command
 from tests.places import ROOT
 
 # Rows: states. Columns: shutdown, switch on, enable operation, disable voltage, quick stop, fault reset.
@@ -87,9 +80,7 @@ def test_statuswords_are_those_of_the_standard(statusword: int, state: DriveStat
 
 
 @pytest.mark.parametrize(("origin", "target"), [*product(DriveState, DriveState)])
-def test_a_way_is_followed_to_its_end_and_never_through_enabled_or_a_fault(
-    origin: DriveState, target: DriveState
-) -> None:
+def test_a_way_is_followed_to_its_end_and_never_through_enabled_or_a_fault(origin: DriveState, target: DriveState) -> None:
     at, visited = origin, [origin]
     while at is not target and (command := next_command(at, target)) is not None:
         assert command is not DriveCommand.FAULT_RESET

@@ -90,9 +90,7 @@ def test_a_model_without_a_current_tells_its_load_and_speed_and_limits_its_duty(
     line = DynamixelLine(cable.link, cable)
     servo = DynamixelServo(line, 3, "elbow")
     assert "current reckoned from its load" in servo.identify()
-    with pytest.raises(
-        WrongIdentity, match=r"expected operating mode 4 \(extended position\) for a gripper, it is 3"
-    ):
+    with pytest.raises(WrongIdentity, match=r"expected operating mode 4 \(extended position\) for a gripper, it is 3"):
         servo.require_force_limit()
     servo.set_up(0.2)
     servo.post_torque(True)
@@ -112,11 +110,7 @@ def test_a_model_without_a_current_tells_its_load_and_speed_and_limits_its_duty(
     ("address", "value", "expected"),
     [
         (6, 36, r"firmware 38 or newer \(bus watchdog\), it is 36: update it with Dynamixel Wizard"),
-        (
-            68,
-            1,
-            r"status return level 2 \(register 68\), .*; it is 1, and writing is not answered: set it with Dynamixel Wizard",
-        ),
+        (68, 1, r"status return level 2 \(register 68\), .*; it is 1, and writing is not answered: set it with Dynamixel Wizard"),
     ],
 )
 def test_what_the_watchdog_and_the_answers_need_is_compared(address: int, value: int, expected: str) -> None:
@@ -131,9 +125,7 @@ def test_torque_that_comes_by_itself_at_power_up_is_refused() -> None:
     cable.servo.table[60] = 1
     cable.servo.power_up()
     assert cable.servo.table[64] == 1
-    with pytest.raises(
-        WrongIdentity, match=r"no torque at power-up \(register 60, bit 0\), it is 1 there: set it to 0"
-    ):
+    with pytest.raises(WrongIdentity, match=r"no torque at power-up \(register 60, bit 0\), it is 1 there: set it to 0"):
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
 
 
@@ -149,9 +141,7 @@ def test_registers_that_are_not_set_stop_no_servo(monkeypatch: pytest.MonkeyPatc
     cable.servo.table[68] = 1
     monkeypatch.setattr(cable.servo, "answer", answers_all)
     servo = DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow")
-    assert re.search(
-        "firmware 0, position mode, goals 0 to 0, status return level 1; holds on at", servo.identify()
-    )
+    assert re.search("firmware 0, position mode, goals 0 to 0, status return level 1; holds on at", servo.identify())
     assert (servo.bears_V, 4095 in servo.reached, cable.servo.table[65]) == ((0.0, 0.0), True, 0)
 
 
@@ -164,9 +154,7 @@ def test_every_xl330_has_a_watchdog() -> None:
 def test_a_silent_servo_is_an_error_that_says_what_to_check() -> None:
     cable = Cable()
     cable.is_cut = True
-    with pytest.raises(
-        BoardSilent, match=r'Dynamixel "elbow" \(id 3\) on /dev/ttyU2D2.*protocol 2.0.*1000000'
-    ):
+    with pytest.raises(BoardSilent, match=r'Dynamixel "elbow" \(id 3\) on /dev/ttyU2D2.*protocol 2.0.*1000000'):
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
 
 

@@ -77,9 +77,7 @@ def test_a_servo_is_identified_set_up_and_read(echoes: bool) -> None:
 
 def test_another_model_or_mode_and_a_silent_line_say_what_to_do() -> None:
     cable = Cable(model=0x050A)  # an HLS
-    with pytest.raises(
-        WrongIdentity, match=r"expected an STS, model 777 \(STS3215\), .*, it is model 1290 \(10.5\)"
-    ):
+    with pytest.raises(WrongIdentity, match=r"expected an STS, model 777 \(STS3215\), .*, it is model 1290 \(10.5\)"):
         FeetechServo(FeetechLine(cable.link, cable), 3, "elbow").identify()
     wheel = Cable()
     wheel.servo.table[33] = 1
@@ -160,15 +158,11 @@ def test_what_it_does_at_an_error_is_what_is_stored_in_it() -> None:
     assert servo.identify().endswith("; free at voltage, overload; holds on at sensor, heat, current")
     assert (servo.frees_at, servo.weakens_at, servo.return_delay_s) == (0x21, 0, pytest.approx(5e-4))
     table[8] = 0
-    with pytest.raises(
-        WrongIdentity, match=r"response level 1 \(register 8\), .*; it is 0, and writing is not answered"
-    ):
+    with pytest.raises(WrongIdentity, match=r"response level 1 \(register 8\), .*; it is 0, and writing is not answered"):
         servo.identify()
 
 
-def test_a_response_level_of_0_is_told_where_writing_is_answered_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_response_level_of_0_is_told_where_writing_is_answered_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     cable = Cable()
     answer = cable.servo.answer
 
@@ -184,9 +178,7 @@ def test_a_response_level_of_0_is_told_where_writing_is_answered_all_the_same(
 def test_another_sts_is_taken_and_told() -> None:
     cable = Cable(model=0x0E09)
     servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
-    assert servo.identify().startswith(
-        "model 9.14, not known here: taken for one as the STS3215, firmware 3.10"
-    )
+    assert servo.identify().startswith("model 9.14, not known here: taken for one as the STS3215, firmware 3.10")
 
 
 @pytest.mark.parametrize("phase", [0x00, 0x0C], ids=["a speed of 0 stands", "a speed of 0 is the fastest"])

@@ -99,9 +99,7 @@ def test_a_torque_is_position_mode_without_its_gains() -> None:
     assert cell.mock.output == ("current", pytest.approx(2.0))
     cell.board.wanted = wire.position(ID, wire.torque(0.5, 0.3, 0.1))
     cell.run(0.008)
-    assert cell.mock.output == ("current", pytest.approx(6.0)), (
-        "limited by the torque that the command allows"
-    )
+    assert cell.mock.output == ("current", pytest.approx(6.0)), "limited by the torque that the command allows"
 
 
 def test_a_silent_controller_and_a_position_that_is_not_the_outputs_say_what_to_do() -> None:
@@ -110,9 +108,7 @@ def test_a_silent_controller_and_a_position_that_is_not_the_outputs_say_what_to_
         cell.board.identify(2)
     assert Cell(home_state=2).board.identify(2)
     cell.wired.is_cut = True
-    with pytest.raises(
-        BoardSilent, match=r'"elbow" \(id 5\) on memory: no reply, asked 3 times: .* CAN FD with 1 Mbit/s'
-    ):
+    with pytest.raises(BoardSilent, match=r'"elbow" \(id 5\) on memory: no reply, asked 3 times: .* CAN FD with 1 Mbit/s'):
         cell.board.identify()
     with pytest.raises(MisuseError, match="1 to 127, got 128"):
         Moteus(cell.bus, 128, "elbow", CPR)
@@ -141,9 +137,7 @@ def test_a_reply_to_another_programs_question_is_neither_a_violation_nor_who_it_
 
 
 @pytest.mark.parametrize("up_s", [0.1, 5.0])
-def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into_operation(
-    up_s: float,
-) -> None:
+def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into_operation(up_s: float) -> None:
     cell = Cell()
     cell.board.wanted = wire.position(ID, HOLD)
     cell.run(0.02)

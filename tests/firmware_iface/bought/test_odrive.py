@@ -77,11 +77,7 @@ def test_a_torque_begins_with_its_own_value_and_the_state_is_asked_for_once() ->
     cell.axis.want_torque(0.1)
     cell.run(0.08)
     asked = [can_id & 0x1F for can_id, _ in cell.wired.sent]
-    assert asked[:3] == [
-        OdriveCommand.SET_INPUT_TORQUE,
-        OdriveCommand.SET_CONTROLLER_MODE,
-        OdriveCommand.SET_AXIS_STATE,
-    ]
+    assert asked[:3] == [OdriveCommand.SET_INPUT_TORQUE, OdriveCommand.SET_CONTROLLER_MODE, OdriveCommand.SET_AXIS_STATE]
     assert asked.count(OdriveCommand.SET_AXIS_STATE) == 1
     assert (cell.axis.is_driving, cell.mock.output) == (True, ("current", pytest.approx(2.0)))
 
@@ -107,14 +103,10 @@ def test_from_torque_to_position_the_new_input_comes_before_the_new_mode() -> No
 def test_a_silent_axis_and_one_without_messages_say_what_to_do() -> None:
     cell = Cell()
     cell.wired.is_cut = True
-    with pytest.raises(
-        BoardSilent, match=r'"elbow" \(node 5\) on memory: .* check its supply, node id 5 and bit rate'
-    ):
+    with pytest.raises(BoardSilent, match=r'"elbow" \(node 5\) on memory: .* check its supply, node id 5 and bit rate'):
         cell.axis.identify()
     without_iq = tuple(
-        (command, period_s)
-        for command, period_s in OdriveSetup(0, 1.0, 1.0).periods_s
-        if command != OdriveCommand.IQ
+        (command, period_s) for command, period_s in OdriveSetup(0, 1.0, 1.0).periods_s if command != OdriveCommand.IQ
     )
     with pytest.raises(BoardSilent, match=r"no IQ within .* set iq_msg_rate_ms = 4 in axis0\.config\.can"):
         Cell(periods_s=without_iq).axis.identify()

@@ -13,11 +13,7 @@ from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
 from hil_mocks.devices.roboclaw import RATES, TIMEOUT, RoboClawLineMock, RoboClawMock
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "roboclaw.txt"
-ROWS = [
-    [cell.strip() for cell in line.split("|")]
-    for line in GOLDEN.read_text().splitlines()
-    if not line.startswith("#")
-]
+ROWS = [[cell.strip() for cell in line.split("|")] for line in GOLDEN.read_text().splitlines() if not line.startswith("#")]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=[row[0] for row in ROWS])
@@ -39,9 +35,7 @@ def test_any_single_flipped_bit_of_an_answer_is_rejected() -> None:
 
 
 def test_an_answer_of_another_board_or_to_another_command_is_rejected() -> None:
-    answer = RoboClawMock(0x80, lambda channel: 0).obey(
-        wire.read_packet(0x80, RoboclawCommand.READ_CURRENTS), 0.0
-    )
+    answer = RoboClawMock(0x80, lambda channel: 0).obey(wire.read_packet(0x80, RoboclawCommand.READ_CURRENTS), 0.0)
     assert wire.reply_data(0x81, RoboclawCommand.READ_CURRENTS, answer) is None
     assert wire.reply_data(0x80, RoboclawCommand.READ_STATUS, answer) is None
 
@@ -106,14 +100,10 @@ def test_an_answer_that_is_wrong_once_is_asked_for_again(cable: Cable) -> None:
     assert board.read_counts() == (0, 0)
 
 
-def test_a_silent_board_is_given_up_after_three_time_outs_and_the_error_says_what_to_check(
-    cable: Cable,
-) -> None:
+def test_a_silent_board_is_given_up_after_three_time_outs_and_the_error_says_what_to_check(cable: Cable) -> None:
     board = board_on(cable)
     cable.is_cut = True
-    with pytest.raises(
-        BoardSilent, match=r'RoboClaw "base" \(address 0x80\) on /dev/ttyCLAW.*asked 3 times.*115200'
-    ):
+    with pytest.raises(BoardSilent, match=r'RoboClaw "base" \(address 0x80\) on /dev/ttyCLAW.*asked 3 times.*115200'):
         board.read_counts()
     assert cable.now_s() < 3 * (ANSWER_TIMEOUT_s + 0.005)
 
@@ -133,9 +123,7 @@ def test_the_firmware_of_the_manual_and_todays_are_told_apart_by_their_pin_modes
 
 @pytest.mark.parametrize("has_short_status", [False, True])
 @pytest.mark.parametrize("error", [0x1, 0x2, 0x8, 0x40, 0x80])
-def test_errors_of_the_16_bits_of_older_firmware_are_those_of_the_32(
-    error: int, has_short_status: bool
-) -> None:
+def test_errors_of_the_16_bits_of_older_firmware_are_those_of_the_32(error: int, has_short_status: bool) -> None:
     cable = Cable()
     mock = RoboClawMock(0x80, lambda channel: 0, has_ctrl_pins=False, has_short_status=has_short_status)
     cable.mock.boards[0x80] = mock
@@ -167,9 +155,7 @@ def test_a_board_restart_is_told_by_its_saved_time_out(cable: Cable) -> None:
     line = PacketLine(cable.link, cable)
     board = RoboClaw(line, 0x80, "base")
     board.set_up(0.25, (10.0, 10.0))
-    assert (
-        cable.mocks[0].settings[TIMEOUT] == b"\x02"
-    )  # rounded down: the arm may not wait longer than it was told
+    assert cable.mocks[0].settings[TIMEOUT] == b"\x02"  # rounded down: the arm may not wait longer than it was told
     cable.mocks[0].power_up()
     for _ in range(200):
         board.post_cycle()
@@ -203,14 +189,10 @@ def test_a_time_out_that_the_board_has_already_is_set_to_another(cable: Cable) -
 
 def test_a_pin_that_tells_of_no_home_switch_is_refused(cable: Cable) -> None:
     board = board_on(cable)
-    cable.mocks[0].settings[RoboclawCommand.READ_PIN_MODES] = (
-        b"\0\4\1\0\0"  # home of an earlier manual; emergency stop
-    )
+    cable.mocks[0].settings[RoboclawCommand.READ_PIN_MODES] = b"\0\4\1\0\0"  # home of an earlier manual; emergency stop
     board.identify()
     board.require_home_switch(1)
-    with pytest.raises(
-        WrongIdentity, match=r'S5 as "Home \(User\)" \(0x62\) .* of channel 2, its mode is 0x01'
-    ):
+    with pytest.raises(WrongIdentity, match=r'S5 as "Home \(User\)" \(0x62\) .* of channel 2, its mode is 0x01'):
         board.require_home_switch(2)
 
 

@@ -76,21 +76,14 @@ def test_what_is_sent_is_what_the_firmware_reads(name: str, made: wire.Frame) ->
 def test_what_the_firmware_sends_is_read() -> None:
     assert wire.status(golden("STATUS -3000 erpm, 1.2 A, -0.25")[1]) == (-3000, 1.2, -0.25)
     assert wire.counters(golden("STATUS_2 1 Ah, 0.5 Ah")[1]) == (10_000, 5_000)
-    assert wire.status_4(golden("STATUS_4 35 degC, 30 degC, 0.6 A, 359.98 deg")[1]) == (
-        35.0,
-        30.0,
-        0.6,
-        17_999,
-    )
+    assert wire.status_4(golden("STATUS_4 35 degC, 30 degC, 0.6 A, 359.98 deg")[1]) == (35.0, 30.0, 0.6, 17_999)
     assert wire.status_5(golden("STATUS_5 -7, 24.1 V")[1]) == (-7, 24.1)
     assert wire.adc_1_V(golden("STATUS_6 3.3 V")[1]) == 3.3
     assert wire.fault_in(golden("fault 2")[1]) == (5, 2)
     assert wire.fault_in(golden("PONG")[1]) is None
 
 
-def test_what_is_stored_comes_in_pieces_and_a_damaged_answer_is_asked_for_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_stored_comes_in_pieces_and_a_damaged_answer_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = Cell(replace(SETUP, timeout_s=0.3, application=4))
     cell.board.identify()
     assert cell.board.settings == (0.3, 20.0, 4)
@@ -144,12 +137,8 @@ def test_turns_are_counted_across_the_end_of_the_angle() -> None:
     assert cell.board.count == pytest.approx(-3.9 * TURN, abs=1)
 
 
-@pytest.mark.parametrize(
-    ("turns_s", "unseen_s", "is_lost"), [(30.0, 0.011, False), (30.0, 0.016, True), (0.0, 0.2, True)]
-)
-def test_turns_that_may_have_passed_unseen_cost_the_count(
-    turns_s: float, unseen_s: float, is_lost: bool
-) -> None:
+@pytest.mark.parametrize(("turns_s", "unseen_s", "is_lost"), [(30.0, 0.011, False), (30.0, 0.016, True), (0.0, 0.2, True)])
+def test_turns_that_may_have_passed_unseen_cost_the_count(turns_s: float, unseen_s: float, is_lost: bool) -> None:
     cell = Cell()
     cell.board.identify()
 
@@ -178,26 +167,19 @@ def test_the_current_has_the_sign_of_the_duty() -> None:
 
 
 def wire_status(share: float, amperes: float) -> bytes:
-    return (
-        bytes(4)
-        + round(amperes * 10).to_bytes(2, "big", signed=True)
-        + round(share * 1000).to_bytes(2, "big", signed=True)
-    )
+    return bytes(4) + round(amperes * 10).to_bytes(2, "big", signed=True) + round(share * 1000).to_bytes(2, "big", signed=True)
 
 
 def test_a_silent_controller_and_one_without_status_say_what_to_do() -> None:
     cell = Cell()
     cell.is_cut = True
     with pytest.raises(
-        BoardSilent,
-        match=r'"elbow" \(id 5\) on memory: no STATUS, STATUS 4, STATUS 5 .*: check its supply, id 5',
+        BoardSilent, match=r'"elbow" \(id 5\) on memory: no STATUS, STATUS 4, STATUS 5 .*: check its supply, id 5'
     ):
         cell.board.identify()
     quiet = Cell(VescSetup(5, 0.2, 8.0, rate_1_Hz=0.5))
     quiet.run(0.1)
-    with pytest.raises(
-        BoardSilent, match=r"no STATUS, STATUS 4, STATUS 5 within .* status messages 1, 4 and 5 in VESC Tool"
-    ):
+    with pytest.raises(BoardSilent, match=r"no STATUS, STATUS 4, STATUS 5 within .* status messages 1, 4 and 5 in VESC Tool"):
         quiet.board.identify()
     with pytest.raises(MisuseError, match="0 to 253, got 254"):
         Vesc(cell.bus, 254, "elbow")

@@ -87,7 +87,7 @@ def test_an_object_of_zeros_is_hidden_and_items_of_other_kinds_are_passed_over()
         VICON[:-8] + struct.pack("<d", 7.0),
     ],
     ids=["empty", "short", "long", "too few items", "size", "no name", "no text", "one name twice", "NaN", "far", "degrees"],
-)  # fmt: skip
+)
 def test_what_is_no_object_stream_is_refused(datagram: bytes) -> None:
     assert vicon.unpack(datagram) is None
 
@@ -109,11 +109,9 @@ def test_the_stream_takes_the_packets_of_its_host_and_counts_the_others() -> Non
 def test_poses_compose_and_invert() -> None:
     source = random.Random(1)
     first, second = (
-        RigidPose(
-            tuple(source.uniform(-1, 1) for _ in range(3)), vicon.from_euler_xyz(*source.choices((0.3, -1.2), k=3))
-        )
+        RigidPose(tuple(source.uniform(-1, 1) for _ in range(3)), vicon.from_euler_xyz(*source.choices((0.3, -1.2), k=3)))
         for _ in range(2)
-    )  # fmt: skip
+    )
     back = compose(inverse(first), compose(first, second))
     assert back.position_m == pytest.approx(second.position_m)
     assert angle_rad(back.quaternion, second.quaternion) == pytest.approx(0.0, abs=1e-7)
@@ -127,10 +125,7 @@ def frame(number: int, **at_m: tuple[float, float, float] | None) -> BodyFrame:
     """Bodies by name; None: hidden."""
     return BodyFrame(
         number,
-        tuple(
-            SeenBody(name, RigidPose(place or (0.0, 0.0, 0.0), UPRIGHT), place is not None)
-            for name, place in at_m.items()
-        ),
+        tuple(SeenBody(name, RigidPose(place or (0.0, 0.0, 0.0), UPRIGHT), place is not None) for name, place in at_m.items()),
     )
 
 

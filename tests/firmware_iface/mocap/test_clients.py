@@ -57,11 +57,7 @@ def test_the_natnet_client_reads_bodies_names_and_server() -> None:
     np.testing.assert_allclose(rotation_of(axis), SEEN_TURN, atol=1e-6)
     (answer,) = mock.answer(struct.pack("<HH", 4, 0))
     described = models.DataDescriptions.read_from_buffer(PacketBuffer(answer[4:]), version)
-    assert [(one.id_num, one.name) for one in described.rigid_bodies] == [
-        (11, "tool"),
-        (12, "wand"),
-        (13, "base"),
-    ]
+    assert [(one.id_num, one.name) for one in described.rigid_bodies] == [(11, "tool"), (12, "wand"), (13, "base")]
     (answer,) = mock.answer(struct.pack("<HH", 0, 5) + b"Ping\0")
     info = ServerInfo.read_from_buffer(PacketBuffer(answer[4:]), version)
     assert (info.application_name, str(info.nat_net_protocol_version)) == ("Motive", "4.1.0.0")
@@ -74,13 +70,7 @@ def test_qualisys_own_client_reads_commands_and_bodies() -> None:
     mock = QtmMock(CameraSetup(noise_m=0.0), SCENE)
     got: dict[object, list[object]] = {kind: [] for kind in packets.QRTPacketType}
     receiver = Receiver({kind: got[kind].append for kind in got})
-    asked = [
-        b"",
-        *(
-            struct.pack("<II", 9 + len(text), 1) + text + b"\0"
-            for text in (b"version 1.19", b"getparameters 6d")
-        ),
-    ]
+    asked = [b"", *(struct.pack("<II", 9 + len(text), 1) + text + b"\0" for text in (b"version 1.19", b"getparameters 6d"))]
     answers = b"".join(answer for request in asked for answer in mock.answer(request))
     mock.answer(struct.pack("<II", 0, 1) + b"streamframes allframes 6dres\0")
     for byte in answers + packet_of(mock):

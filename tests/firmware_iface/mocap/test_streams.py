@@ -27,9 +27,7 @@ NAMES = {11: "tool"}
 _BODY = "0b000000 0000003f 000080be 0000003e 00000000 00000000 00000000 0000803f 0000803e 0100"
 _NONE, _END = "00000000", "00000000 00000000 000000000000f83f"
 NATNET_3 = bytes.fromhex(f"07000000 {_NONE * 2} 01000000 {_BODY} {_NONE * 4} {_END} 0000")
-NATNET_41 = bytes.fromhex(
-    f"07000000 {_NONE * 4} 01000000 26000000 {_BODY} {_NONE * 10} {_END} 00000000 00000000"
-)
+NATNET_41 = bytes.fromhex(f"07000000 {_NONE * 4} 01000000 26000000 {_BODY} {_NONE * 10} {_END} 00000000 00000000")
 # Time 1.5 s, frame 7, one component of 68 bytes: one body at (500, -250, 125) mm, turned by +90 deg about z, residual 0.25 mm.
 QTM = bytes.fromhex(
     "60e3160000000000 07000000 01000000 44000000 0b000000 01000000 0000 0000"
@@ -37,9 +35,7 @@ QTM = bytes.fromhex(
 )
 
 
-@pytest.mark.parametrize(
-    ("payload", "version"), [(NATNET_3, (3, 0)), (NATNET_3, (4, 0)), (NATNET_41, (4, 1))]
-)
+@pytest.mark.parametrize(("payload", "version"), [(NATNET_3, (3, 0)), (NATNET_3, (4, 0)), (NATNET_41, (4, 1))])
 def test_the_golden_frame_of_natnet_is_read(payload: bytes, version: tuple[int, int]) -> None:
     frame = natnet.unpack_frame(payload, version, NAMES)
     assert frame is not None
@@ -71,7 +67,7 @@ def test_other_things_in_a_frame_are_passed_over_in_both_layouts() -> None:
     skeleton = struct.pack("<iii", 1, 5, 1) + bytes(38)
     plate = struct.pack("<iii", 1, 5, 1) + struct.pack("<if", 1, 2.0)
     marker = struct.pack("<i", 1) + bytes(26)
-    old = NATNET_3[:-18 - 16] + skeleton + marker + plate + plate + NATNET_3[-18:]  # fmt: skip
+    old = NATNET_3[: -18 - 16] + skeleton + marker + plate + plate + NATNET_3[-18:]
     assert natnet.unpack_frame(old, (3, 1), NAMES) == natnet.unpack_frame(NATNET_3, (3, 1), NAMES)
 
 
@@ -126,9 +122,7 @@ def test_packets_of_qtm_are_cut_however_they_arrive() -> None:
 class Served:
     """A clock whose waiting lets a server answer; `change` may rewrite its packets."""
 
-    def __init__(
-        self, wire: CameraWire, mock: MocapMock, change: Callable[[bytes], bytes] = lambda p: p
-    ) -> None:
+    def __init__(self, wire: CameraWire, mock: MocapMock, change: Callable[[bytes], bytes] = lambda p: p) -> None:
         self.wire, self.mock, self.change, self.time_s, self.requests = wire, mock, change, 0.0, [b""]
 
     def now_s(self) -> float:
@@ -201,7 +195,7 @@ def test_a_multicast_server_is_listened_to_on_its_group() -> None:
         (lambda p: p.replace(bytes((4, 1, 0, 0)), bytes((2, 9, 0, 0))), WrongIdentity, "speaks NatNet 2.9, expected 3.0"),
         (lambda p: p if p[0] == 1 else p[:-1], BoardSilent, "rigid bodies are called"),
     ],
-)  # fmt: skip
+)
 def test_a_natnet_server_that_does_not_fit_is_one_message(
     change: Callable[[bytes], bytes], error: type[Exception], said: str
 ) -> None:
@@ -231,11 +225,7 @@ def test_qtm_streams_after_its_names_are_known_and_is_said_to_be_gone() -> None:
     ("change", "error", "said"),
     [
         (lambda p: b"", BoardSilent, "no greeting within 3 s: is it QTM's port"),
-        (
-            lambda p: p.replace(b"\x01\0\0\0Version", b"\0\0\0\0Version"),
-            WrongIdentity,
-            "QTM refuses: Version set",
-        ),
+        (lambda p: p.replace(b"\x01\0\0\0Version", b"\0\0\0\0Version"), WrongIdentity, "QTM refuses: Version set"),
         (lambda p: p.replace(b"<The_6D>", b"<The_9D>"), BoardSilent, "names of its 6D bodies"),
         (lambda p: b"HTTP/1.1 400 Bad Request", LinkLost, "impossible sizes"),
     ],

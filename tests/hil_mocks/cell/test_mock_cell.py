@@ -17,10 +17,7 @@ from hil_mocks.scenario import FaultTable
 from tests.cell import STRETCHED, scenario
 
 PAIR = load_cell("pair")
-TURNED = replace(
-    PAIR,
-    arms=(PAIR.arms[0], replace(PAIR.arms[1], origin_m=(0.3, -0.8, 0.2), orientation=(0.8, 0.0, 0.0, -0.6))),
-)
+TURNED = replace(PAIR, arms=(PAIR.arms[0], replace(PAIR.arms[1], origin_m=(0.3, -0.8, 0.2), orientation=(0.8, 0.0, 0.0, -0.6))))
 
 
 def ticked(cell: Cell, ticks: int) -> MockCell:
@@ -38,9 +35,7 @@ def test_an_arm_in_a_cell_moves_as_it_does_alone_wherever_its_base_is() -> None:
             alone.tick()
         beside = mock.robots[placed.name]
         assert beside.joint_rad() == pytest.approx(alone.joint_rad(), abs=1e-6)
-        assert beside.tip_m() == pytest.approx(
-            ForwardKinematics(placed.arm).tip(*beside.joint_rad()), abs=1e-9
-        )
+        assert beside.tip_m() == pytest.approx(ForwardKinematics(placed.arm).tip(*beside.joint_rad()), abs=1e-9)
         assert beside.joint_rad() != pytest.approx(STRETCHED, abs=1e-3)  # drives off: it sinks
 
 

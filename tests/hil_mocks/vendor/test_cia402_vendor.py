@@ -38,9 +38,13 @@ def dictionary(mock: Cia402Mock) -> Any:
     """The mock's objects as the library's object dictionary."""
     kinds = canopen.objectdictionary
     types = {
-        "u8": kinds.UNSIGNED8, "i8": kinds.INTEGER8, "u16": kinds.UNSIGNED16, "i16": kinds.INTEGER16,
-        "u32": kinds.UNSIGNED32, "i32": kinds.INTEGER32,
-    }  # fmt: skip
+        "u8": kinds.UNSIGNED8,
+        "i8": kinds.INTEGER8,
+        "u16": kinds.UNSIGNED16,
+        "i16": kinds.INTEGER16,
+        "u32": kinds.UNSIGNED32,
+        "i32": kinds.INTEGER32,
+    }
     made = kinds.ObjectDictionary()
     records = {index for index, sub in mock.objects if sub}
     for (index, sub), (kind, _) in sorted(mock.objects.items()):
@@ -112,25 +116,55 @@ def test_pdos_that_the_library_maps_carry_what_it_unpacks(mock: Cia402Mock) -> N
 # Calls of the library: those that a test here makes, and those that send nothing or are made of others.
 CALLED = {
     "BaseNode402": {
-        "op_mode", "state", "is_faulted", "is_homed", "homing", "is_op_mode_supported", "reset_from_fault", "check_statusword",
-        "controlword", "statusword", "store", "restore", "setup_402_state_machine", "setup_pdos",
+        "op_mode",
+        "state",
+        "is_faulted",
+        "is_homed",
+        "homing",
+        "is_op_mode_supported",
+        "reset_from_fault",
+        "check_statusword",
+        "controlword",
+        "statusword",
+        "store",
+        "restore",
+        "setup_402_state_machine",
+        "setup_pdos",
     },
     "SdoClient": {"upload", "download", "open", "abort"},
     "NmtMaster": {"send_command", "state"},
-}  # fmt: skip
+}
 OWN = {
     "BaseNode402": {
-        "add_sdo", "associate_network", "remove_network", "has_network", "load_configuration", "on_TPDOs_update_callback",
+        "add_sdo",
+        "associate_network",
+        "remove_network",
+        "has_network",
+        "load_configuration",
+        "on_TPDOs_update_callback",
     },
     "SdoClient": {
-        "get", "get_variable", "items", "keys", "values", "on_response", "read_response", "request_response", "send_request",
+        "get",
+        "get_variable",
+        "items",
+        "keys",
+        "values",
+        "on_response",
+        "read_response",
+        "request_response",
+        "send_request",
         "crc_cls",
     },
     "NmtMaster": {
-        "add_hearbeat_callback", "add_heartbeat_callback", "on_command", "on_heartbeat", "wait_for_bootup", "wait_for_heartbeat",
+        "add_hearbeat_callback",
+        "add_heartbeat_callback",
+        "on_command",
+        "on_heartbeat",
+        "wait_for_bootup",
+        "wait_for_heartbeat",
         "stop_node_guarding",
     },
-}  # fmt: skip
+}
 UNANSWERED = {"start_node_guarding"}  # by remote frames, which CiA advises against; heartbeats are there
 
 

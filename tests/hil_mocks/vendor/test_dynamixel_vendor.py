@@ -157,24 +157,17 @@ def test_what_a_servo_does_not_take_is_refused_with_the_sdks_number(
     assert servo.table[:126] == before
 
 
-def test_an_unknown_instruction_and_a_wrong_crc_are_answered_with_their_errors(
-    line: DynamixelLineMock,
-) -> None:
+def test_an_unknown_instruction_and_a_wrong_crc_are_answered_with_their_errors(line: DynamixelLineMock) -> None:
     line.receive(wire.packet(1, 0x77), 0.1)
     damaged = bytearray(wire.read(2, 132, 4))
     damaged[-1] ^= 1
     line.receive(bytes(damaged), 0.2)
     said = [wire.status_in(status) for _, status in line.outgoing]
-    assert [(one.servo, one.error) for one in said if one] == [
-        (1, sdk.ERRNUM_INSTRUCTION),
-        (2, sdk.ERRNUM_CRC),
-    ]
+    assert [(one.servo, one.error) for one in said if one] == [(1, sdk.ERRNUM_INSTRUCTION), (2, sdk.ERRNUM_CRC)]
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_the_status_return_level_says_what_is_answered(
-    line: DynamixelLineMock, handler: Any, level: int
-) -> None:
+def test_the_status_return_level_says_what_is_answered(line: DynamixelLineMock, handler: Any, level: int) -> None:
     port = Port(line)
     handler.write1ByteTxRx(port, 1, 68, level)
     assert handler.ping(port, 1)[1] == sdk.COMM_SUCCESS
@@ -191,9 +184,7 @@ def test_all_answer_a_ping_to_all_and_nobody_a_write(line: DynamixelLineMock, ha
     assert [servo.table[65] for servo in line.servos.values()] == [1, 1]
 
 
-def test_what_is_stored_outlives_a_restart_and_the_rest_does_not(
-    line: DynamixelLineMock, handler: Any
-) -> None:
+def test_what_is_stored_outlives_a_restart_and_the_rest_does_not(line: DynamixelLineMock, handler: Any) -> None:
     port, servo = Port(line), line.servos[1]
     handler.write1ByteTxRx(port, 1, 11, 4)
     handler.write1ByteTxRx(port, 1, 65, 1)
@@ -258,34 +249,42 @@ def test_each_size_is_written_and_read_in_each_of_the_sdks_ways(
 
 
 def test_no_call_of_the_sdk_is_left_out() -> None:
-    sized = {f"{read}{n}Byte{way}" for n in (1, 2, 4) for read, way in (
-        ("read", "Tx"), ("read", "Rx"), ("read", "TxRx"), ("write", "TxOnly"), ("write", "TxRx"))}  # fmt: skip
+    sized = {
+        f"{read}{n}Byte{way}"
+        for n in (1, 2, 4)
+        for read, way in (("read", "Tx"), ("read", "Rx"), ("read", "TxRx"), ("write", "TxOnly"), ("write", "TxRx"))
+    }
     made_of = {  # of which the others are made, or words
-        "addStuffing", "removeStuffing", "updateCRC", "txPacket", "rxPacket", "txRxPacket", "getProtocolVersion",
-        "getRxPacketError", "getTxRxResult", "readTx", "readRx", "readTxRx", "writeTxOnly", "regWriteTxOnly", "syncReadTx",
-        "syncWriteTxOnly", "bulkReadTx", "bulkWriteTxOnly", "fastSyncReadRx", "fastBulkReadRx",
-    }  # fmt: skip
-    called = {
-        "ping", "broadcastPing", "action", "reboot", "clearMultiTurn", "factoryReset", "regWriteTxRx", "writeTxRx",
-    }  # fmt: skip
-    assert {
-        name for name in dir(sdk.Protocol2PacketHandler) if not name.startswith("_")
-    } == sized | made_of | called
+        "addStuffing",
+        "removeStuffing",
+        "updateCRC",
+        "txPacket",
+        "rxPacket",
+        "txRxPacket",
+        "getProtocolVersion",
+        "getRxPacketError",
+        "getTxRxResult",
+        "readTx",
+        "readRx",
+        "readTxRx",
+        "writeTxOnly",
+        "regWriteTxOnly",
+        "syncReadTx",
+        "syncWriteTxOnly",
+        "bulkReadTx",
+        "bulkWriteTxOnly",
+        "fastSyncReadRx",
+        "fastBulkReadRx",
+    }
+    called = {"ping", "broadcastPing", "action", "reboot", "clearMultiTurn", "factoryReset", "regWriteTxRx", "writeTxRx"}
+    assert {name for name in dir(sdk.Protocol2PacketHandler) if not name.startswith("_")} == sized | made_of | called
     for group, ways in (
         (sdk.GroupSyncRead, {"txRxPacket", "fastSyncRead"}),
         (sdk.GroupBulkRead, {"txRxPacket", "fastBulkRead"}),
         (sdk.GroupSyncWrite, {"txPacket"}),
         (sdk.GroupBulkWrite, {"txPacket"}),
     ):
-        bookkeeping = {
-            "addParam",
-            "changeParam",
-            "clearParam",
-            "getData",
-            "isAvailable",
-            "makeParam",
-            "removeParam",
-        }
+        bookkeeping = {"addParam", "changeParam", "clearParam", "getData", "isAvailable", "makeParam", "removeParam"}
         halves = {"rxPacket", "txPacket", *(f"{way}{half}Packet" for way in ways for half in ("Rx", "Tx"))}
         assert {name for name in dir(group) if not name.startswith("_")} - bookkeeping <= ways | halves
 
@@ -293,24 +292,44 @@ def test_no_call_of_the_sdk_is_left_out() -> None:
 easy = pytest.importorskip("dynamixel_easy_sdk")
 # What the vendor's Easy SDK sets, and where it then stands in the control table: address, bytes, value.
 EASY_SETS: dict[str, tuple[tuple[Any, ...], tuple[int, int, int]]] = {
-    "enableTorque": ((), (64, 1, 1)), "LEDOn": ((), (65, 1, 1)), "setGoalPosition": ((2000,), (116, 4, 2000)),
-    "setGoalVelocity": ((-5,), (104, 4, -5)), "setGoalCurrent": ((30,), (102, 2, 30)), "setGoalPWM": ((-40,), (100, 2, -40)),
-    "changeID": ((5,), (7, 1, 5)), "setOperatingMode": ((easy.OperatingMode.EXTENDED_POSITION,), (11, 1, 4)),
+    "enableTorque": ((), (64, 1, 1)),
+    "LEDOn": ((), (65, 1, 1)),
+    "setGoalPosition": ((2000,), (116, 4, 2000)),
+    "setGoalVelocity": ((-5,), (104, 4, -5)),
+    "setGoalCurrent": ((30,), (102, 2, 30)),
+    "setGoalPWM": ((-40,), (100, 2, -40)),
+    "changeID": ((5,), (7, 1, 5)),
+    "setOperatingMode": ((easy.OperatingMode.EXTENDED_POSITION,), (11, 1, 4)),
     "setProfileConfiguration": ((easy.ProfileConfiguration.TIME_BASED,), (10, 1, 4)),
-    "setDirection": ((easy.Direction.REVERSE,), (10, 1, 1)), "setPositionPGain": ((10,), (84, 2, 10)),
-    "setPositionIGain": ((11,), (82, 2, 11)), "setPositionDGain": ((12,), (80, 2, 12)), "setVelocityPGain": ((13,), (78, 2, 13)),
-    "setVelocityIGain": ((14,), (76, 2, 14)), "setHomingOffset": ((-15,), (20, 4, -15)),
-    "setMaxPositionLimit": ((4000,), (48, 4, 4000)), "setMinPositionLimit": ((16,), (52, 4, 16)),
-    "setVelocityLimit": ((17,), (44, 4, 17)), "setCurrentLimit": ((18,), (38, 2, 18)), "setPWMLimit": ((19,), (36, 2, 19)),
-}  # fmt: skip
-EASY_READS = {
-    "ping": 1020, "isTorqueOn": 0, "isLEDOn": 0, "getPresentPosition": 1024, "getPresentVelocity": 0, "getPresentCurrent": 186,
-    "getPresentPWM": 0, "getMaxPositionLimit": 4095, "getMinPositionLimit": 0, "getVelocityLimit": 350, "getCurrentLimit": 1193,
-    "getPWMLimit": 885, "getOperatingMode": 3,
-}  # fmt: skip
-STAGED = {
-    f"stage{name[0].upper()}{name[1:]}" for name in (*EASY_SETS, *EASY_READS, "disableTorque", "LEDOff")
+    "setDirection": ((easy.Direction.REVERSE,), (10, 1, 1)),
+    "setPositionPGain": ((10,), (84, 2, 10)),
+    "setPositionIGain": ((11,), (82, 2, 11)),
+    "setPositionDGain": ((12,), (80, 2, 12)),
+    "setVelocityPGain": ((13,), (78, 2, 13)),
+    "setVelocityIGain": ((14,), (76, 2, 14)),
+    "setHomingOffset": ((-15,), (20, 4, -15)),
+    "setMaxPositionLimit": ((4000,), (48, 4, 4000)),
+    "setMinPositionLimit": ((16,), (52, 4, 16)),
+    "setVelocityLimit": ((17,), (44, 4, 17)),
+    "setCurrentLimit": ((18,), (38, 2, 18)),
+    "setPWMLimit": ((19,), (36, 2, 19)),
 }
+EASY_READS = {
+    "ping": 1020,
+    "isTorqueOn": 0,
+    "isLEDOn": 0,
+    "getPresentPosition": 1024,
+    "getPresentVelocity": 0,
+    "getPresentCurrent": 186,
+    "getPresentPWM": 0,
+    "getMaxPositionLimit": 4095,
+    "getMinPositionLimit": 0,
+    "getVelocityLimit": 350,
+    "getCurrentLimit": 1193,
+    "getPWMLimit": 885,
+    "getOperatingMode": 3,
+}
+STAGED = {f"stage{name[0].upper()}{name[1:]}" for name in (*EASY_SETS, *EASY_READS, "disableTorque", "LEDOff")}
 NEEDS_MODE = {"setGoalVelocity": 1, "setGoalCurrent": 5}
 
 
@@ -325,14 +344,7 @@ def connector(line: DynamixelLineMock, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_no_call_of_the_easy_sdk_is_left_out(connector: Any) -> None:
     offered = {name for name in dir(easy.Motor) if not name.startswith("_")}
-    ends = {
-        "disableTorque",
-        "LEDOff",
-        "reboot",
-        "factoryResetAll",
-        "factoryResetExceptID",
-        "factoryResetExceptIDAndBaudRate",
-    }
+    ends = {"disableTorque", "LEDOff", "reboot", "factoryResetAll", "factoryResetExceptID", "factoryResetExceptIDAndBaudRate"}
     staged = {name for name in offered if name.startswith("stage")}
     assert offered - staged == {*EASY_SETS, *EASY_READS} | ends
     assert staged <= STAGED
@@ -344,9 +356,7 @@ def test_no_call_of_the_easy_sdk_is_left_out(connector: Any) -> None:
 
 
 @pytest.mark.parametrize("name", EASY_SETS)
-def test_what_the_easy_sdk_sets_stands_in_the_control_table(
-    connector: Any, line: DynamixelLineMock, name: str
-) -> None:
+def test_what_the_easy_sdk_sets_stands_in_the_control_table(connector: Any, line: DynamixelLineMock, name: str) -> None:
     servo = line.servos[1]
     motor = connector.createMotor(1)
     if name in NEEDS_MODE:
@@ -376,9 +386,7 @@ def test_what_the_easy_sdk_reads_is_what_is_measured_and_stored(connector: Any, 
         assert group.executeRead() == [EASY_READS[name]]
 
 
-def test_a_header_inside_of_parameters_is_stuffed_and_the_sdk_reads_it_back(
-    line: DynamixelLineMock, handler: Any
-) -> None:
+def test_a_header_inside_of_parameters_is_stuffed_and_the_sdk_reads_it_back(line: DynamixelLineMock, handler: Any) -> None:
     # Not compared with what the SDK sends: 4.1.0 computes the stuffing and then sends the packet without it.
     line.servos[1].table[11] = 4  # several turns
     packet = wire.write(1, 116, b"\xff\xff\xfd\xff")
@@ -446,25 +454,15 @@ def test_models_and_where_they_have_their_values_are_those_of_the_vendors_tables
         assert file == name.lower().replace("-", "_") + ".model"
         items = {line.split("\t")[2]: tuple(map(int, line.split("\t")[:2])) for line in _items(folder / file)}
         effort = "Present Load" if number in WITH_LOAD else "Present Current"
-        assert (items[effort], items["Present Position"], items["Goal Position"]) == (
-            (126, 2),
-            (132, 4),
-            (116, 4),
-        )
-        assert (items["Present Input Voltage"], items["Bus Watchdog"], items["Shutdown"]) == (
-            (144, 2),
-            (98, 1),
-            (63, 1),
-        )
+        assert (items[effort], items["Present Position"], items["Goal Position"]) == ((126, 2), (132, 4), (116, 4))
+        assert (items["Present Input Voltage"], items["Bus Watchdog"], items["Shutdown"]) == ((144, 2), (98, 1), (63, 1))
 
 
 def test_no_x_servo_of_the_vendors_tables_is_refused() -> None:
     tables = pytest.importorskip("dynamixel_easy_sdk").__path__[0]
     lines = (Path(tables) / "control_table" / "dynamixel.model").read_text().splitlines()[1:]
     x_series = {
-        int(number)
-        for number, name in map(str.split, lines)
-        if name.lstrip("2").startswith("x") and name != "xl320.model"
+        int(number) for number, name in map(str.split, lines) if name.lstrip("2").startswith("x") and name != "xl320.model"
     }
     assert x_series <= MODELS.keys()
 

@@ -91,21 +91,45 @@ def test_no_call_of_the_sdk_is_left_out() -> None:
     ways = {"read": ("TxRx", "Tx", "Rx"), "write": ("TxRx", "TxOnly")}
     sized = {f"{way}{n}Byte{how}" for way, hows in ways.items() for how in hows for n in (1, 2, 4)}
     made_of = {  # of which the others are made, numbers and words
-        "txPacket", "rxPacket", "txRxPacket", "getProtocolVersion", "getRxPacketError", "getTxRxResult", "readTx", "readRx",
-        "readTxRx", "syncReadTx", "syncReadRx", "syncWriteTxOnly", "writeTxRx", "regWriteTxRx",
-    }  # fmt: skip
+        "txPacket",
+        "rxPacket",
+        "txRxPacket",
+        "getProtocolVersion",
+        "getRxPacketError",
+        "getTxRxResult",
+        "readTx",
+        "readRx",
+        "readTxRx",
+        "syncReadTx",
+        "syncReadRx",
+        "syncWriteTxOnly",
+        "writeTxRx",
+        "regWriteTxRx",
+    }
     called = {
-        "LockEprom", "ReadMoving", "ReadPos", "ReadPosSpeed", "ReadSpeed", "RegAction", "RegWritePosEx", "SyncWritePosEx",
-        "WheelMode", "WritePosEx", "WriteSpec", "action", "ping", "regWriteTxOnly", "unLockEprom", "writeTxOnly",
-    }  # fmt: skip
+        "LockEprom",
+        "ReadMoving",
+        "ReadPos",
+        "ReadPosSpeed",
+        "ReadSpeed",
+        "RegAction",
+        "RegWritePosEx",
+        "SyncWritePosEx",
+        "WheelMode",
+        "WritePosEx",
+        "WriteSpec",
+        "action",
+        "ping",
+        "regWriteTxOnly",
+        "unLockEprom",
+        "writeTxOnly",
+    }
     offered = {name for name in dir(sdk.sms_sts) if not name.startswith(("_", "scs_"))}
     assert offered == sized | made_of | called
 
 
 @pytest.mark.parametrize(("size", "address"), [(1, 41), (2, 42), (4, 46)])
-def test_each_size_is_written_and_read_in_each_of_the_sdks_ways(
-    port: Port, handler: Any, size: int, address: int
-) -> None:
+def test_each_size_is_written_and_read_in_each_of_the_sdks_ways(port: Port, handler: Any, size: int, address: int) -> None:
     read, write = f"read{size}Byte", f"write{size}Byte"
     assert getattr(handler, f"{write}TxOnly")(1, address, 1) == sdk.COMM_SUCCESS
     assert getattr(handler, f"{read}TxRx")(1, address) == (1, sdk.COMM_SUCCESS, 0)
@@ -184,9 +208,7 @@ def test_our_packets_are_the_sdks_byte_for_byte(port: Port, handler: Any) -> Non
     handler.write1ByteTxRx(1, sdk.SMS_STS_TORQUE_ENABLE, 1)
     handler.WritePosEx(1, 1000, 0, 0)
     assert port.written == (
-        wire.read(2, 56, 2)
-        + wire.write(1, 40, b"\x01")
-        + wire.write(1, 41, b"\x00" + wire.raw(1000) + bytes(4))
+        wire.read(2, 56, 2) + wire.write(1, 40, b"\x01") + wire.write(1, 41, b"\x00" + wire.raw(1000) + bytes(4))
     )
 
 
@@ -215,9 +237,7 @@ def test_an_error_frees_the_motor_by_the_unloading_condition(
     assert (servo.output.kind == "open") is is_free
 
 
-def test_overload_leaves_the_protective_torque_until_the_torque_is_switched_off(
-    port: Port, handler: Any
-) -> None:
+def test_overload_leaves_the_protective_torque_until_the_torque_is_switched_off(port: Port, handler: Any) -> None:
     servo = port.line.servos[1]
     handler.WritePosEx(1, 3000, 0, 0)  # it is held at -1024
     for _ in range(1900):

@@ -40,14 +40,7 @@ def controller(mock: MoteusMock | None = None) -> Any:
     asked.voltage, asked.q_current, asked.aux1_gpio = moteus.INT16, moteus.F32, moteus.INT8
     asked._extra = {0x070: moteus.INT32}
     said = moteus.PositionResolution()
-    for name in (
-        "kp_scale",
-        "kd_scale",
-        "ilimit_scale",
-        "maximum_torque",
-        "watchdog_timeout",
-        "feedforward_torque",
-    ):
+    for name in ("kp_scale", "kd_scale", "ilimit_scale", "maximum_torque", "watchdog_timeout", "feedforward_torque"):
         setattr(said, name, moteus.F32)
     transport = None if mock is None else Transport(mock)
     return moteus.Controller(ID, query_resolution=asked, position_resolution=said, transport=transport)
@@ -60,14 +53,32 @@ def unpadded(frame: wire.Frame) -> bytes:
 def test_commands_and_questions_are_the_clients_byte_for_byte() -> None:
     client = controller()
     at = client.make_position(
-        position=1.5, velocity=-0.25, feedforward_torque=0.1, kp_scale=1.0, kd_scale=1.0, maximum_torque=0.6,
-        watchdog_timeout=0.1, velocity_limit=-1.0, accel_limit=-1.0, ilimit_scale=1.0, query=True,
-    )  # fmt: skip
+        position=1.5,
+        velocity=-0.25,
+        feedforward_torque=0.1,
+        kp_scale=1.0,
+        kd_scale=1.0,
+        maximum_torque=0.6,
+        watchdog_timeout=0.1,
+        velocity_limit=-1.0,
+        accel_limit=-1.0,
+        ilimit_scale=1.0,
+        query=True,
+    )
     assert unpadded(wire.position(ID, wire.Position(1.5, -0.25, 0.1, 1.0, 0.6, 0.1))) == at.data
     torque = client.make_position(
-        position=math.nan, velocity=0.0, feedforward_torque=-0.2, kp_scale=0.0, kd_scale=0.0, maximum_torque=0.6,
-        watchdog_timeout=0.1, velocity_limit=-1.0, accel_limit=-1.0, ilimit_scale=0.0, query=True,
-    )  # fmt: skip
+        position=math.nan,
+        velocity=0.0,
+        feedforward_torque=-0.2,
+        kp_scale=0.0,
+        kd_scale=0.0,
+        maximum_torque=0.6,
+        watchdog_timeout=0.1,
+        velocity_limit=-1.0,
+        accel_limit=-1.0,
+        ilimit_scale=0.0,
+        query=True,
+    )
     assert unpadded(wire.position(ID, wire.torque(-0.2, 0.6, 0.1))) == torque.data
     for ours, theirs in (
         (wire.brake(ID), client.make_brake(query=True)),
@@ -87,15 +98,16 @@ def test_the_client_reads_what_the_mock_answers_and_the_mock_obeys_it() -> None:
         values = (await client.query()).values
         register = moteus.Register
         assert values[register.POSITION] == -2.125
-        assert (values[register.VOLTAGE], values[register.MODE], values[register.AUX1_GPIO_STATUS]) == (
-            24.0,
-            0,
-            1,
-        )
+        assert (values[register.VOLTAGE], values[register.MODE], values[register.AUX1_GPIO_STATUS]) == (24.0, 0, 1)
         await client.set_position(
-            position=math.nan, kp_scale=0.0, kd_scale=0.0, ilimit_scale=0.0, feedforward_torque=0.1,
-            watchdog_timeout=0.1, query=True,
-        )  # fmt: skip
+            position=math.nan,
+            kp_scale=0.0,
+            kd_scale=0.0,
+            ilimit_scale=0.0,
+            feedforward_torque=0.1,
+            watchdog_timeout=0.1,
+            query=True,
+        )
         assert mock.output.value == pytest.approx(2.0)
         values = (await client.set_brake(query=True)).values
         assert values[register.MODE] == 10  # as it was when the command came
@@ -109,9 +121,7 @@ def test_the_client_reads_what_the_mock_answers_and_the_mock_obeys_it() -> None:
 
 def test_the_clients_stream_reads_a_setting_of_the_mock_and_its_frames_are_ours() -> None:
     client = controller()
-    assert (
-        unpadded(wire.say(ID, b"conf get id.id\n")) == client.make_diagnostic_write(b"conf get id.id\n").data
-    )
+    assert unpadded(wire.say(ID, b"conf get id.id\n")) == client.make_diagnostic_write(b"conf get id.id\n").data
     assert unpadded(wire.ask_text(ID)) == client.make_diagnostic_read().data
     mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0), lambda: 0.0)
     stream = moteus.Stream(controller(mock), use_flow_control=False)
@@ -144,9 +154,7 @@ async def _seen(client: Any, register: int, kind: int = moteus.F32) -> Any:
     return (await client.custom_query({register: kind})).values[register]
 
 
-FIELD_V = 2.0 * math.sin(
-    math.pi / 2 - 14 * math.pi * 0.25
-)  # of 2 V at a right angle, on a rotor of 7 pole pairs at 0.25 turns
+FIELD_V = 2.0 * math.sin(math.pi / 2 - 14 * math.pi * 0.25)  # of 2 V at a right angle, on a rotor of 7 pole pairs at 0.25 turns
 STANDS = {"position": math.nan, "kp_scale": 0.0, "kd_scale": 0.0, "ilimit_scale": 0.0}
 # What each call that commands makes of the mock, whose motor stands at 0.25 turns: mode and output.
 COMMANDS: dict[str, tuple[dict[str, Any], int, tuple[str, Any]]] = {
@@ -157,7 +165,7 @@ COMMANDS: dict[str, tuple[dict[str, Any], int, tuple[str, Any]]] = {
     "set_current": ({"d_A": 0.0, "q_A": 2.5}, 9, ("current", 2.5)),
     "set_zero_velocity": ({"kd_scale": 0.5}, 12, ("voltage", pytest.approx(0.0, abs=1e-9))),
     "set_stay_within": ({"lower_bound": 0.0, "upper_bound": 1.0, "feedforward_torque": 0.1}, 13, ("current", pytest.approx(2.0))),
-}  # fmt: skip
+}
 # Calls that set something else, and what is read of it.
 SETS: dict[str, tuple[dict[str, Any], int, Any]] = {
     "set_output": ({"position": 3.0, "cmd": 0x131}, 0x001, 3.0),
@@ -170,20 +178,38 @@ SETS: dict[str, tuple[dict[str, Any], int, Any]] = {
     "set_aux_pwm": ({"aux1_pwm2": 0.5, "aux2_pwm5": 0.25}, 0x07F, pytest.approx(0.25, abs=1e-4)),
 }
 ELSEWHERE = {
-    "query", "custom_query", "read_gpio", "diagnostic_read", "diagnostic_read_flow", "send_diagnostic_write",
-    "set_position_wait_complete", "set_recapture_position_velocity",
-}  # fmt: skip
+    "query",
+    "custom_query",
+    "read_gpio",
+    "diagnostic_read",
+    "diagnostic_read_flow",
+    "send_diagnostic_write",
+    "set_position_wait_complete",
+    "set_recapture_position_velocity",
+}
 STREAM = {
-    "command", "drain", "flush_read", "read", "read_binary_blob", "read_data", "read_until_OK", "readline", "write",
+    "command",
+    "drain",
+    "flush_read",
+    "read",
+    "read_binary_blob",
+    "read_data",
+    "read_until_OK",
+    "readline",
+    "write",
     "write_message",
-}  # fmt: skip
+}
 
 
 def test_no_call_of_the_vendors_client_is_left_out() -> None:
     offered = {name for name in dir(moteus.Controller) if not name.startswith("_")}
     assert {name for name in offered if not name.startswith("make_")} == {
-        *COMMANDS, *SETS, *ELSEWHERE, "execute", "flush_transport",
-    }  # fmt: skip
+        *COMMANDS,
+        *SETS,
+        *ELSEWHERE,
+        "execute",
+        "flush_transport",
+    }
     frames = {name.removeprefix("make_") for name in offered if name.startswith("make_")}
     sent = {*COMMANDS, *SETS, *ELSEWHERE}
     assert frames <= sent | {name.removeprefix("set_").removeprefix("send_") for name in sent}
@@ -248,9 +274,7 @@ def test_it_stays_within_bounds_and_a_stop_position_ends_a_speed() -> None:
 
     async def talk() -> None:
         for turns[0], sign in ((0.25, 0), (1.5, -1), (-0.5, 1)):
-            await client.set_stay_within(
-                lower_bound=0.0, upper_bound=1.0, watchdog_timeout=math.nan, query=True
-            )
+            await client.set_stay_within(lower_bound=0.0, upper_bound=1.0, watchdog_timeout=math.nan, query=True)
             await client.query()
             assert math.copysign(bool(mock.output.value), mock.output.value) == sign
         await client.set_stay_within(lower_bound=0.0, upper_bound=1.0, kp_scale=0.0, query=True)
@@ -258,12 +282,7 @@ def test_it_stays_within_bounds_and_a_stop_position_ends_a_speed() -> None:
         turns[0] = 0.0
         await client.set_stop()
         await client.set_position(
-            position=math.nan,
-            velocity=2.0,
-            stop_position=0.01,
-            accel_limit=-1.0,
-            watchdog_timeout=math.nan,
-            query=True,
+            position=math.nan, velocity=2.0, stop_position=0.01, accel_limit=-1.0, watchdog_timeout=math.nan, query=True
         )
         for _ in range(20):
             await client.query()
@@ -317,9 +336,7 @@ def test_what_was_lost_of_the_stream_is_said_again() -> None:
 
     async def talk() -> None:
         await client.send_diagnostic_write(data=b"conf get motor.poles\n")
-        said = [
-            (await client.diagnostic_read_flow(packet_number=number, max_length=2))[0] for number in (0, 0, 1)
-        ]
+        said = [(await client.diagnostic_read_flow(packet_number=number, max_length=2))[0] for number in (0, 0, 1)]
         assert [(one.packet_number, one.data) for one in said] == [(1, b"14"), (1, b"14"), (2, b"\r\n")]
         await client.send_diagnostic_write(data=b"conf get motor.poles\n")
         assert (await client.diagnostic_read())[0].data == b"14\r\n"

@@ -27,25 +27,15 @@ def database() -> Any:
 
 def read(database: Any, frame: wire.Frame) -> tuple[str, dict[str, Any]]:
     message = database.get_message_by_frame_id(frame[0])
-    return message.name.removeprefix(f"Axis{NODE}_"), message.decode(
-        frame[1], decode_choices=False, allow_truncated=True
-    )
+    return message.name.removeprefix(f"Axis{NODE}_"), message.decode(frame[1], decode_choices=False, allow_truncated=True)
 
 
 @pytest.mark.parametrize(
     ("frame", "name", "values"),
     [
         (wire.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL), "Set_Axis_State", {"Axis_Requested_State": 8}),
-        (
-            wire.controller_mode(NODE, OdriveControlMode.POSITION),
-            "Set_Controller_Mode",
-            {"Control_Mode": 3, "Input_Mode": 1},
-        ),
-        (
-            wire.position(NODE, -1.5, -2.5),
-            "Set_Input_Pos",
-            {"Input_Pos": -1.5, "Vel_FF": -2.5, "Torque_FF": 0.0},
-        ),
+        (wire.controller_mode(NODE, OdriveControlMode.POSITION), "Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}),
+        (wire.position(NODE, -1.5, -2.5), "Set_Input_Pos", {"Input_Pos": -1.5, "Vel_FF": -2.5, "Torque_FF": 0.0}),
         (wire.torque(NODE, 0.25), "Set_Input_Torque", {"Input_Torque": 0.25}),
         (wire.limits(NODE, 20.0, 8.0), "Set_Limits", {"Velocity_Limit": 20.0, "Current_Limit": 8.0}),
         (wire.clear_errors(NODE), "Clear_Errors", {"Identify": 0}),
@@ -90,7 +80,7 @@ OBEYED: dict[str, tuple[dict[str, float], str, dict[str, float]]] = {
     "Clear_Errors": ({"Identify": 0}, "Heartbeat", {"Axis_Error": 0}),
     "Reboot": ({"Action": 0}, "", {}),
     "Enter_DFU_Mode": ({}, "", {}),
-}  # fmt: skip
+}
 ASKED: dict[str, dict[str, float]] = {
     "Get_Version": {"Fw_Version_Major": 0, "Fw_Version_Minor": 6, "Fw_Version_Revision": 10},
     "Heartbeat": {"Axis_State": 1},
@@ -124,9 +114,7 @@ class Axis:
         self.tick()
 
     def ask(self, name: str) -> dict[str, Any]:
-        self.mock.receive(
-            self.database.get_message_by_name(f"Axis{NODE}_{name}").frame_id, b"", self.now_s, is_remote=True
-        )
+        self.mock.receive(self.database.get_message_by_name(f"Axis{NODE}_{name}").frame_id, b"", self.now_s, is_remote=True)
         (frame,) = self.mock.outgoing
         self.mock.outgoing.clear()
         said, values = read(self.database, frame)
@@ -135,11 +123,7 @@ class Axis:
 
 
 def test_no_message_of_the_vendors_description_is_left_out(database: Any) -> None:
-    offered = {
-        message.name.removeprefix(f"Axis{NODE}_")
-        for message in database.messages
-        if message.frame_id >> 5 == NODE
-    }
+    offered = {message.name.removeprefix(f"Axis{NODE}_") for message in database.messages if message.frame_id >> 5 == NODE}
     assert offered == {*OBEYED, *ASKED, "RxSdo", "TxSdo"}
 
 
@@ -229,8 +213,6 @@ def test_a_velocity_is_followed_until_the_axis_waits_for_a_firmware(database: An
 def test_names_of_commands_and_errors_are_the_vendors(database: Any) -> None:
     heartbeat = database.get_message_by_name(f"Axis{NODE}_Heartbeat")
     choices = heartbeat.get_signal_by_name("Axis_Error").choices
-    assert {int(error): error.name for error in Error} == {
-        value: str(name) for value, name in choices.items() if value
-    }
+    assert {int(error): error.name for error in Error} == {value: str(name) for value, name in choices.items() if value}
     known = {message.frame_id & 0x1F for message in database.messages if message.frame_id >> 5 == NODE}
     assert set(OdriveCommand) <= known

@@ -86,7 +86,7 @@ SETS: dict[str, tuple[tuple[Any, ...], str, Any]] = {
     "SetPWMIdle": ((1.5, True, 0.0, False), "GetPWMIdle", None),
     "SetEStopLock": ((0x55,), "GetEStopLock", None),
     "SetScriptAutoRun": ((1000,), "GetScriptAutoRun", None),
-}  # fmt: skip
+}
 # Calls that move: what, and by how many counts the motors have turned a second later, or which duties they have then.
 MOVES: dict[str, tuple[tuple[Any, ...], tuple[float, float]]] = {
     "DutyM1": ((8192,), (0.25, 0)),
@@ -111,10 +111,7 @@ MOVES: dict[str, tuple[tuple[Any, ...], tuple[float, float]]] = {
     "SpeedAccelDistanceM1M2_2": ((9000, 4000, 1500, 9000, -4000, 500, 1), (1500, -500)),
     "SpeedAccelDeccelPositionM1": ((9000, 4000, 9000, 1500, 1), (1500, 0)),
     "SpeedAccelDeccelPositionM2": ((9000, 4000, 9000, -1500 % 2**32, 1), (0, -1500)),
-    "SpeedAccelDeccelPositionM1M2": (
-        (9000, 4000, 9000, 1500, 9000, 4000, 9000, -500 % 2**32, 1),
-        (1500, -500),
-    ),
+    "SpeedAccelDeccelPositionM1M2": ((9000, 4000, 9000, 1500, 9000, 4000, 9000, -500 % 2**32, 1), (1500, -500)),
     "PositionM1": ((1500, 1), (1500, 0)),
     "PositionM2": ((-1500 % 2**32, 1), (0, -1500)),
     "PositionM1M2": ((1500, -500 % 2**32, 1), (1500, -500)),
@@ -127,32 +124,76 @@ MOVES: dict[str, tuple[tuple[Any, ...], tuple[float, float]]] = {
 }
 # Calls that read what is measured, of a board at 24 V whose counters are at 990 and 5, with 1.5 and 2 A.
 READS: dict[str, tuple[Any, ...]] = {
-    "ReadEncM1": (990, 0), "ReadEncM2": (5, 0), "GetEncoders": (990, 5), "ReadSpeedM1": (0xFFFF_FF9C, 1), "ReadSpeedM2": (100, 0),
-    "ReadISpeedM1": (0xFFFF_FF9C, 1), "ReadISpeedM2": (100, 0), "GetSpeeds": (0xFFFF_FF9C, 100), "GetISpeeds": (0xFFFF_FF9C, 100),
-    "ReadMainBatteryVoltage": (240,), "ReadLogicBatteryVoltage": (50,), "GetVolts": (240, 50), "ReadTemp": (300,),
+    "ReadEncM1": (990, 0),
+    "ReadEncM2": (5, 0),
+    "GetEncoders": (990, 5),
+    "ReadSpeedM1": (0xFFFF_FF9C, 1),
+    "ReadSpeedM2": (100, 0),
+    "ReadISpeedM1": (0xFFFF_FF9C, 1),
+    "ReadISpeedM2": (100, 0),
+    "GetSpeeds": (0xFFFF_FF9C, 100),
+    "GetISpeeds": (0xFFFF_FF9C, 100),
+    "ReadMainBatteryVoltage": (240,),
+    "ReadLogicBatteryVoltage": (50,),
+    "GetVolts": (240, 50),
+    "ReadTemp": (300,),
     "ReadTemp2": (300,),
-    "GetTemps": (300, 300), "ReadCurrents": (150, 200), "ReadPWMs": (16384, -8192), "ReadBuffers": (0x80, 0x80),
-    "ReadError": (0x2_0000,), "GetEncStatus": (0, 0), "GetSpeedErrors": (0, 0), "GetPosErrors": (0, 0), "CANGetESR": (0,),
+    "GetTemps": (300, 300),
+    "ReadCurrents": (150, 200),
+    "ReadPWMs": (16384, -8192),
+    "ReadBuffers": (0x80, 0x80),
+    "ReadError": (0x2_0000,),
+    "GetEncStatus": (0, 0),
+    "GetSpeedErrors": (0, 0),
+    "GetPosErrors": (0, 0),
+    "CANGetESR": (0,),
     "ReadVersion": (RoboClawMock.version,),
-    "GetStatus": (
-        700, 0x2_0000, 300, 300, 240, 50, 16384, -8192 % 2**16, 150, 200, 990, 5, 0, 0, 0xFFFF_FF9C, 100, 0, 0, 0, 0,
-    ),
+    "GetStatus": (700, 0x2_0000, 300, 300, 240, 50, 16384, -8192 % 2**16, 150, 200, 990, 5, 0, 0, 0xFFFF_FF9C, 100, 0, 0, 0, 0),
     "GetSignalsData": (2, [dict.fromkeys(("command", "position", "percent", "speed", "speeds"), 0)] * 2),
-}  # fmt: skip
+}
 ELSEWHERE = {
-    "SetEncM1", "SetEncM2", "ResetEncoders", "WriteNVM", "ReadNVM", "RestoreDefaults", "ResetEStop", "StartScript", "StopScript",
-    "CANPutPacket", "CANGetPacket", "CANOpenWriteLocalDict", "CANOpenReadLocalDict", "ReadEeprom", "WriteEeprom",
-    "ForwardMixed", "BackwardMixed", "TurnRightMixed", "TurnLeftMixed", "ForwardBackwardMixed", "LeftRightMixed",
-}  # fmt: skip
+    "SetEncM1",
+    "SetEncM2",
+    "ResetEncoders",
+    "WriteNVM",
+    "ReadNVM",
+    "RestoreDefaults",
+    "ResetEStop",
+    "StartScript",
+    "StopScript",
+    "CANPutPacket",
+    "CANGetPacket",
+    "CANOpenWriteLocalDict",
+    "CANOpenReadLocalDict",
+    "ReadEeprom",
+    "WriteEeprom",
+    "ForwardMixed",
+    "BackwardMixed",
+    "TurnRightMixed",
+    "TurnLeftMixed",
+    "ForwardBackwardMixed",
+    "LeftRightMixed",
+}
 # Of these, 2.0.10 sends but a head: it makes DutyAccelM1 and M2 of them, and passes a fraction where it needs a whole number.
-HALF_SENT = {
-    "ForwardM1", "BackwardM1", "ForwardM2", "BackwardM2", "ForwardBackwardM1", "ForwardBackwardM2",
-}  # fmt: skip
+HALF_SENT = {"ForwardM1", "BackwardM1", "ForwardM2", "BackwardM2", "ForwardBackwardM1", "ForwardBackwardM2"}
 NO_COMMAND = {  # of the port, of words, noise, and what the client itself refuses as deprecated
-    "Open", "close", "reconnect", "is_connected", "crc_clear", "crc_update", "SendRandomData", "decode_error_status",
-    "decode_warning_status", "decode_full_status", "analyze_roboclaw_status", "print_status_analysis", "SetMinVoltageMainBattery",
-    "SetMaxVoltageMainBattery", "SetMinVoltageLogicBattery", "SetMaxVoltageLogicBattery",
-}  # fmt: skip
+    "Open",
+    "close",
+    "reconnect",
+    "is_connected",
+    "crc_clear",
+    "crc_update",
+    "SendRandomData",
+    "decode_error_status",
+    "decode_warning_status",
+    "decode_full_status",
+    "analyze_roboclaw_status",
+    "print_status_analysis",
+    "SetMinVoltageMainBattery",
+    "SetMaxVoltageMainBattery",
+    "SetMinVoltageLogicBattery",
+    "SetMaxVoltageLogicBattery",
+}
 
 
 def test_no_call_of_the_vendors_client_is_left_out() -> None:
@@ -214,9 +255,7 @@ def test_what_the_vendors_client_moves_moves(claw: tuple[Any, Port, RoboClawMock
 
 
 @pytest.mark.parametrize("half_sent", sorted(HALF_SENT))
-def test_what_the_vendors_client_does_not_finish_moves_nothing(
-    claw: tuple[Any, Port, RoboClawMock], half_sent: str
-) -> None:
+def test_what_the_vendors_client_does_not_finish_moves_nothing(claw: tuple[Any, Port, RoboClawMock], half_sent: str) -> None:
     client, _, board = claw
     with pytest.raises(basicmicro.exceptions.PacketTimeoutError):
         getattr(client, half_sent)(0x80, 64)
@@ -256,9 +295,7 @@ def test_the_vendors_client_reads_what_is_measured(claw: tuple[Any, Port, RoboCl
     assert tuple(one.strip() if isinstance(one, str) else one for one in said[1:]) == READS[reads]
 
 
-def test_the_vendors_client_sets_counts_and_ends_an_emergency_stop(
-    claw: tuple[Any, Port, RoboClawMock],
-) -> None:
+def test_the_vendors_client_sets_counts_and_ends_an_emergency_stop(claw: tuple[Any, Port, RoboClawMock]) -> None:
     client, _, board = claw
     assert client.SetEncM1(0x80, 1234)
     assert client.SetEncM2(0x80, 7)
@@ -274,12 +311,7 @@ def test_the_vendors_client_mixes_forward_and_turn(claw: tuple[Any, Port, RoboCl
     client, _, board = claw
     for forward, backward, right, left in (
         (client.ForwardMixed, client.BackwardMixed, client.TurnRightMixed, client.TurnLeftMixed),
-        (
-            client.ForwardBackwardMixed,
-            client.ForwardBackwardMixed,
-            client.LeftRightMixed,
-            client.LeftRightMixed,
-        ),
+        (client.ForwardBackwardMixed, client.ForwardBackwardMixed, client.LeftRightMixed, client.LeftRightMixed),
     ):
         for call in (forward, right, backward, left):
             client._ST_Power = client._ST_Turn = 0
@@ -318,12 +350,8 @@ def test_our_packets_are_the_vendors_byte_for_byte(claw: tuple[Any, Port, RoboCl
             wire.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, wire.duty_data(16384, -8192)),
             wire.command_packet(0x80, RoboclawCommand.SET_SERIAL_TIMEOUT, b"\x02"),
             wire.command_packet(0x80, RoboclawCommand.SET_ENCODER_2, (1000).to_bytes(4, "big")),
-            wire.command_packet(
-                0x80, RoboclawCommand.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)
-            ),
-            wire.command_packet(
-                0x80, RoboclawCommand.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2
-            ),
+            wire.command_packet(0x80, RoboclawCommand.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)),
+            wire.command_packet(0x80, RoboclawCommand.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2),
             wire.read_packet(0x80, RoboclawCommand.READ_PIN_MODES),
             wire.read_packet(0x80, RoboclawCommand.READ_ENCODERS),
             wire.read_packet(0x80, RoboclawCommand.READ_STATUS),

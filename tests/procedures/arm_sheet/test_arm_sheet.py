@@ -19,9 +19,7 @@ from tests.cell import with_drive, with_drives
 from tests.places import ARMS
 
 RIGHT = load_arm("right")
-WEIGHTLESS = dataclasses.replace(
-    RIGHT, links=tuple(dataclasses.replace(k, mass_kg=None) for k in RIGHT.links)
-)
+WEIGHTLESS = dataclasses.replace(RIGHT, links=tuple(dataclasses.replace(k, mass_kg=None) for k in RIGHT.links))
 
 SLOW_BUS = dataclasses.replace(RIGHT, can=CanBus("virtual", "slow", bitrate=50_000))
 
@@ -41,15 +39,11 @@ def test_the_payload_is_what_the_weakest_joint_holds_in_the_worst_pose() -> None
     stretched = np.array([[0.0, -math.pi / 2, math.pi / 2 - 0.02]])  # joint 2 as loaded as it can be
     torques = np.abs(Dynamics(RIGHT, payload.everywhere_kg).torques(q, 0 * q, 0 * q))
     assert (torques <= 1.02 * np.array(limits)).all()
-    worst = np.abs(
-        Dynamics(RIGHT, 1.1 * payload.everywhere_kg).torques(stretched, 0 * stretched, 0 * stretched)
-    )
+    worst = np.abs(Dynamics(RIGHT, 1.1 * payload.everywhere_kg).torques(stretched, 0 * stretched, 0 * stretched))
     assert worst[0, 1] > limits[1]
 
 
-def test_the_payload_that_is_moved_is_what_the_weakest_joint_accelerates_whichever_way_the_others_go() -> (
-    None
-):
+def test_the_payload_that_is_moved_is_what_the_weakest_joint_accelerates_whichever_way_the_others_go() -> None:
     payload = sheet(RIGHT).payload
     assert payload is not None
     random = np.random.default_rng(5)
@@ -57,10 +51,7 @@ def test_the_payload_that_is_moved_is_what_the_weakest_joint_accelerates_whichev
     fastest = [drive.joint_acceleration_limit_rad_s2 for drive in RIGHT.drives]
     accelerations = random.choice([-1.0, 1.0], (2000, 3)) * fastest
     limits = np.array([torque_limit_Nm(drive) for drive in RIGHT.drives])
-    loads = [
-        np.abs(Dynamics(RIGHT, kg).torques(q, 0 * q, accelerations)) / limits
-        for kg in (payload.moving_kg, 4.0)
-    ]
+    loads = [np.abs(Dynamics(RIGHT, kg).torques(q, 0 * q, accelerations)) / limits for kg in (payload.moving_kg, 4.0)]
     assert 0.8 < loads[0].max() <= 1.02
     assert loads[0].max(axis=0).argmax() == payload.moving_joint - 1
     assert loads[1].max() > 1.3
@@ -82,7 +73,7 @@ def test_the_buses_are_as_loaded_as_doctor_computes() -> None:
         (with_drive(RIGHT, 1, joint_speed_limit_rad_s=9.0), "joint 1 is slower than its speed limit"),
         (SLOW_BUS, "the CAN bus is too slow"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_work_is_a_warning(arm: Arm, says: str) -> None:
     assert [text for text in warnings(sheet(arm)) if says in text] != []
 
@@ -104,7 +95,7 @@ def test_the_reference_arm_has_no_warning_and_lacks_nothing() -> None:
         (with_drive(RIGHT, 3, current_limit_A=math.inf), "current_limit_A of joint 3", "torque"),
         (WEIGHTLESS, "mass_kg", "payload"),
     ],
-)  # fmt: skip
+)
 def test_what_is_missing_is_said_with_what_it_is_for(arm: Arm, what: str, needed_for: str) -> None:
     found = [one for one in missing(arm) if what in one.what]
     assert [needed_for in one.needed_for for one in found] == [True]
@@ -137,8 +128,6 @@ def test_every_arm_with_some_keys_less_is_shown(tmp_path, capsys: pytest.Capture
 def test_an_absolute_encoder_that_is_not_said_to_be_at_the_joint_is_named() -> None:
     told = on_boards(load_arm("right"), "odrive")
     assert all(board.absolute_turns for board in told.boards)
-    untold = dataclasses.replace(
-        told, boards=tuple(dataclasses.replace(board, absolute_turns=None) for board in told.boards)
-    )
+    untold = dataclasses.replace(told, boards=tuple(dataclasses.replace(board, absolute_turns=None) for board in told.boards))
     said, left = ({item.what for item in missing(arm)} for arm in (untold, told))
     assert said - left == {"absolute_turns of the boards of joints 1, 2, 3"}

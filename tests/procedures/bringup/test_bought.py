@@ -17,14 +17,7 @@ from control.model.end_effector import Digital
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from procedures.bringup.bench import open_bench
-from procedures.bringup.procedure import (
-    BringupOptions,
-    BringupOutcome,
-    Journal,
-    bring_up,
-    brought_up,
-    caution_of,
-)
+from procedures.bringup.procedure import BringupOptions, BringupOutcome, Journal, bring_up, brought_up, caution_of
 from procedures.bringup.workbench import MockOperator
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive
@@ -54,9 +47,7 @@ def brought(
     return outcome, brought_up(draft, journal, {})
 
 
-def test_a_joint_on_boards_that_limit_the_current_is_measured_to_its_end_stops_and_its_switch(
-    tmp_path: Path,
-) -> None:
+def test_a_joint_on_boards_that_limit_the_current_is_measured_to_its_end_stops_and_its_switch(tmp_path: Path) -> None:
     draft = on_boards(short(), "moteus")
     outcome, arm = brought(tmp_path, draft, LAST)
     assert (outcome.problems, outcome.diagnoses[3].changes) == ([], [])
@@ -100,17 +91,13 @@ def test_mixed_boards_are_refused_before_anything_moves(tmp_path: Path) -> None:
     with pytest.raises(ArmError, match=r"all take a voltage, or all close the position loop"):
         brought(tmp_path, on_boards(RIGHT, "mixed"), SURVEY)
     claws = on_boards(RIGHT, "roboclaw")
-    beside = replace(
-        claws, drives=(*claws.drives[:2], RIGHT.drives[2]), encoder_boards=RIGHT.encoder_boards, can=RIGHT.can
-    )
+    beside = replace(claws, drives=(*claws.drives[:2], RIGHT.drives[2]), encoder_boards=RIGHT.encoder_boards, can=RIGHT.can)
     with pytest.raises(ArmError, match=r"takes reference motor boards or \[\[board\]\]s, not both"):
         brought(tmp_path, beside, SURVEY)
 
 
 @pytest.mark.parametrize(("kind", "still_rad"), [("feetech", A_COUNT_rad), ("odrive", 1e-3)])
-def test_a_bench_leaves_boards_that_hold_as_they_are_until_the_operator_allows_a_motion(
-    kind: str, still_rad: float
-) -> None:
+def test_a_bench_leaves_boards_that_hold_as_they_are_until_the_operator_allows_a_motion(kind: str, still_rad: float) -> None:
     draft = on_boards(RIGHT, kind)
     with SteppedRig(draft, scenario(homed=True)) as rig:
         for name in rig.robot.drive_names:
@@ -137,9 +124,7 @@ class Watching(MockOperator):
 
 
 @pytest.mark.parametrize("kind", ["reference", "cia402", "roboclaw"])
-def test_a_joint_turns_back_at_its_limit_switches_and_keeps_in_front_of_them(
-    tmp_path: Path, kind: str
-) -> None:
+def test_a_joint_turns_back_at_its_limit_switches_and_keeps_in_front_of_them(tmp_path: Path, kind: str) -> None:
     """Two at pins of a reference board or at a drive of CiA 402; a RoboClaw has an input for one, on which the joint homes."""
     lower_rad, upper_rad, stop_rad = 0.55, 0.95, 0.4  # the range ends 0.05 rad before the stops
     if kind == "reference":

@@ -28,14 +28,7 @@ from procedures.bringup import measuring
 from procedures.bringup.bench import ReferenceBench
 from procedures.bringup.diagnosis import Diagnosis, place_limits, rewired
 from procedures.bringup.measuring import JointMeasurements
-from procedures.bringup.procedure import (
-    BringupOptions,
-    BringupOutcome,
-    Journal,
-    bring_up,
-    brought_up,
-    caution_of,
-)
+from procedures.bringup.procedure import BringupOptions, BringupOutcome, Journal, bring_up, brought_up, caution_of
 from procedures.bringup.workbench import DriveLimits, MockOperator, SafetyTrip, Stopped
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.places import RIGHT_TOML
@@ -136,21 +129,9 @@ def test_a_good_arm_passes_and_its_keys_stay_as_they_are(tmp_path: Path) -> None
     assert {(e.effect, e.joint) for e in arm.effects} == {("coulomb_friction", 3), ("viscous_friction", 3)}
 
 
-def test_a_weak_motor_whose_link_sinks_on_shorted_windings_is_measured_like_a_strong_one(
-    tmp_path: Path,
-) -> None:
+def test_a_weak_motor_whose_link_sinks_on_shorted_windings_is_measured_like_a_strong_one(tmp_path: Path) -> None:
     """At 0.6 rad/s: past index pulses from one motion to the next, and faster than the motions are."""
-    options = [
-        "--joints",
-        "3",
-        "--lengths",
-        "0.12",
-        "0.36",
-        "0.28",
-        "--yes",
-        "--out",
-        str(tmp_path / "w.toml"),
-    ]
+    options = ["--joints", "3", "--lengths", "0.12", "0.36", "0.28", "--yes", "--out", str(tmp_path / "w.toml")]
     assert main(["new", *options]) == 0
     draft = with_drive(load_arm(tmp_path / "w.toml"), 3, joint_lower_rad=0.3, joint_upper_rad=1.6)
     outcome, journal = brought(tmp_path, draft=draft, options=BringupOptions((3,), None, 0.6, True))
@@ -171,11 +152,7 @@ def test_end_stops_that_leave_no_range_are_a_problem_and_no_limits() -> None:
 
 REWIRED = [
     ((FaultTable("swapped_polarity", "motor1"),), "joint 1: REVERSED MOTOR", (1, -1, (0, 0), 1)),
-    (
-        (FaultTable("reversed_encoder", "encoder", channel=0),),
-        "joint 1: REVERSED ENCODER",
-        (1, 1, (0, 0), -1),
-    ),
+    ((FaultTable("reversed_encoder", "encoder", channel=0),), "joint 1: REVERSED ENCODER", (1, 1, (0, 0), -1)),
     (
         (FaultTable("reversed_encoder", "encoder", channel=0), FaultTable("swapped_polarity", "motor1")),
         "joint 1: REVERSED ENCODER",
@@ -186,17 +163,11 @@ REWIRED = [
         "joint 1: SWAPPED ENCODER: channel 2 counts it",
         (1, 1, (0, 2), 1),
     ),
-    (
-        (FaultTable("swapped_motors", "motor1", value=3.0),),
-        "joint 1: SWAPPED MOTOR: motor board 3 moves it",
-        (3, 1, (0, 0), 1),
-    ),
+    ((FaultTable("swapped_motors", "motor1", value=3.0),), "joint 1: SWAPPED MOTOR: motor board 3 moves it", (3, 1, (0, 0), 1)),
 ]
 
 
-@pytest.mark.parametrize(
-    ("faults", "words", "keys"), REWIRED, ids=["-".join(f.kind for f in case[0]) for case in REWIRED]
-)
+@pytest.mark.parametrize(("faults", "words", "keys"), REWIRED, ids=["-".join(f.kind for f in case[0]) for case in REWIRED])
 def test_wrong_wiring_is_named_and_known(
     tmp_path: Path, faults: tuple[FaultTable, ...], words: str, keys: tuple[object, ...]
 ) -> None:
@@ -218,17 +189,11 @@ MISCOUNTED = [
         "WRONG COUNTS: 1024",
         {"encoder_counts_per_rev": 1024, "gear_ratio": 100.0},
     ),
-    (
-        (FaultTable("wrong_gear", "motor1", value=50.0),),
-        "WRONG GEAR: 50",
-        {"encoder_counts_per_rev": 2048, "gear_ratio": 50.0},
-    ),
+    ((FaultTable("wrong_gear", "motor1", value=50.0),), "WRONG GEAR: 50", {"encoder_counts_per_rev": 2048, "gear_ratio": 50.0}),
 ]
 
 
-@pytest.mark.parametrize(
-    ("faults", "words", "keys"), MISCOUNTED, ids=["-".join(f.kind for f in case[0]) for case in MISCOUNTED]
-)
+@pytest.mark.parametrize(("faults", "words", "keys"), MISCOUNTED, ids=["-".join(f.kind for f in case[0]) for case in MISCOUNTED])
 def test_counts_and_gear_are_told_apart_and_mended(
     tmp_path: Path, faults: tuple[FaultTable, ...], words: str, keys: dict[str, float]
 ) -> None:
@@ -280,17 +245,12 @@ BROKEN = [
     ((FaultTable("loose_encoder", "encoder", channel=0),), ["joint 1", "LOOSE ENCODER", "tighten"]),
     (
         (FaultTable("stuck_joint", "motor1"), FaultTable("dead_motor", "motor2")),
-        [
-            "motor board 1 (joint 1 in the draft): STUCK JOINT",
-            "motor board 2 (joint 2 in the draft): DEAD MOTOR",
-        ],
+        ["motor board 1 (joint 1 in the draft): STUCK JOINT", "motor board 2 (joint 2 in the draft): DEAD MOTOR"],
     ),
 ]
 
 
-@pytest.mark.parametrize(
-    ("faults", "words"), BROKEN, ids=["-".join(f.kind for f in case[0]) for case in BROKEN]
-)
+@pytest.mark.parametrize(("faults", "words"), BROKEN, ids=["-".join(f.kind for f in case[0]) for case in BROKEN])
 def test_what_software_cannot_mend_is_named_with_its_remedy(
     tmp_path: Path, faults: tuple[FaultTable, ...], words: list[str]
 ) -> None:
@@ -305,13 +265,9 @@ def test_the_draft_is_the_one_that_is_wrong_about_the_stops_and_the_index(tmp_pa
     home = RIGHT.drive(3).home
     assert home is not None
     draft = with_drive(
-        short(half_rad=0.25),
-        3,
-        home=replace(home, index_rad=home.index_rad + TURN_rad, switch_rad=home.switch_rad + TURN_rad),
+        short(half_rad=0.25), 3, home=replace(home, index_rad=home.index_rad + TURN_rad, switch_rad=home.switch_rad + TURN_rad)
     )
-    outcome, journal = brought(
-        tmp_path, draft=draft, real=real, options=BringupOptions((3,), None, 0.6, True)
-    )
+    outcome, journal = brought(tmp_path, draft=draft, real=real, options=BringupOptions((3,), None, 0.6, True))
     drive = new_arm(outcome, journal, draft).drive(3)
     said = said_of(outcome)
     assert "INDEX MOVED" in said
@@ -373,9 +329,7 @@ def test_a_key_stops_at_once_and_the_drive_is_off(tmp_path: Path, how: dict[str,
         with ReferenceBench(arm, rig.clock, operator) as bench:
             with pytest.raises(Stopped):
                 bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK)
-            assert all(
-                motor.state in (None, DriveState.SWITCH_ON_DISABLED) for motor in bench.motors.values()
-            )
+            assert all(motor.state in (None, DriveState.SWITCH_ON_DISABLED) for motor in bench.motors.values())
             before = rig.joint_rad()
             bench.observe(0.1)
             assert rig.joint_rad() == pytest.approx(before, abs=2e-3)  # it settles in its play
@@ -385,10 +339,7 @@ def test_a_board_that_goes_silent_ends_the_drive(tmp_path: Path) -> None:
     with SteppedRig(RIGHT, hidden(FaultTable("silent", "encoder", at_s=1.0))) as rig:
         arm = wired_to(RIGHT, rig)
         operator = MockOperator(rig, is_silent=True)
-        with (
-            ReferenceBench(arm, rig.clock, operator) as bench,
-            pytest.raises(Exception, match="no report for"),
-        ):
+        with ReferenceBench(arm, rig.clock, operator) as bench, pytest.raises(Exception, match="no report for"):
             bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK)
         rig.clock.wait_until_s(rig.clock.now_s() + 0.1)
         assert all(board.state.name != "ENABLED" for board in rig.robot.motor_boards)
@@ -400,10 +351,7 @@ def test_a_joint_that_is_pushed_too_fast_is_let_go_of() -> None:
         ReferenceBench(wired_to(RIGHT, rig), rig.clock, MockOperator(rig, is_silent=True)) as bench,
     ):
         rig.robot.plant.push(0, 20.0)
-        with (
-            pytest.raises(SafetyTrip, match=r"RAN AWAY|moved"),
-            bench.driving(1, DriveLimits(1.0, 1.0, 8000.0, 5000.0)),
-        ):
+        with pytest.raises(SafetyTrip, match=r"RAN AWAY|moved"), bench.driving(1, DriveLimits(1.0, 1.0, 8000.0, 5000.0)):
             [bench.cycle(0.0) for _ in range(1000)]
         assert bench.motors[1].state is DriveState.SWITCH_ON_DISABLED
 
@@ -451,9 +399,7 @@ def draft_file(tmp_path: Path) -> Path:
 
 def run_command(tmp_path: Path, *more: str) -> int:
     out = tmp_path / "new" / "arm.toml"
-    return main(
-        ["bringup", "--arm", str(draft_file(tmp_path)), "--out", str(out), "--mock", "--no-stops", *more]
-    )
+    return main(["bringup", "--arm", str(draft_file(tmp_path)), "--out", str(out), "--mock", "--no-stops", *more])
 
 
 def test_the_command_writes_a_new_file_once_and_says_which_joints_are_unchecked(
@@ -480,9 +426,7 @@ def test_after_a_repair_only_what_had_not_passed_is_measured(
     journal = json.loads((tmp_path / "new" / "arm.bringup.json").read_text())
     assert [joint for joint, entry in journal["joints"].items() if entry["passed"]] == ["1"]
     measured: list[int] = []
-    monkeypatch.setattr(
-        "procedures.bringup.procedure.measure_joint", lambda driver, *_: measured.append(driver.wiring.joint)
-    )
+    monkeypatch.setattr("procedures.bringup.procedure.measure_joint", lambda driver, *_: measured.append(driver.wiring.joint))
     assert run_command(tmp_path) == 0
     assert measured == [2, 3]
 
@@ -496,9 +440,7 @@ def test_after_a_repair_only_what_had_not_passed_is_measured(
         (["--mock-arm", "nobody"], "a path to an arm.toml"),
     ],
 )
-def test_wrong_input_moves_nothing(
-    tmp_path: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_input_moves_nothing(tmp_path: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(tmp_path, *options) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "new" / "arm.toml").exists()

@@ -8,14 +8,7 @@ from typing import Any, cast
 import pytest
 
 from control.model.description import load_arm
-from procedures.bringup.measuring import (
-    HOST_PAUSE_S,
-    STALL_WINDOW_S,
-    START_S,
-    JointDriver,
-    MotionEnd,
-    has_stalled,
-)
+from procedures.bringup.measuring import HOST_PAUSE_S, STALL_WINDOW_S, START_S, JointDriver, MotionEnd, has_stalled
 from procedures.bringup.wiring import Caution, MeasuredWiring
 from procedures.bringup.workbench import DriveLimits, Sample
 from tests.firmware_iface.scripted import FakeClock
@@ -80,9 +73,7 @@ class BlockedBench:
         per_rad = self._drive.encoder_counts_per_rev * self._drive.gear_ratio / 6.283185307179586
         is_limited = self.clock.now_s() >= self._blocked_from_s
         counts = {CHANNEL: round(self._turned_rad * per_rad)}
-        return Sample(
-            self.clock.now_s(), counts, {CHANNEL: 0}, {CHANNEL: speed_rad_s * per_rad}, volts, 0.0, is_limited
-        )
+        return Sample(self.clock.now_s(), counts, {CHANNEL: 0}, {CHANNEL: speed_rad_s * per_rad}, volts, 0.0, is_limited)
 
 
 CHANNEL = cast("Any", 0)

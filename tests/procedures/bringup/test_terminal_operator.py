@@ -25,13 +25,7 @@ def test_enter_allows_and_anything_else_does_not(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize(
     ("typed", "answer"),
-    [
-        ("2+\n", (2, 1)),
-        (" 3 -\n", (3, -1)),
-        ("0\n", None),
-        ("nothing\n", None),
-        ("left\n4+\n1\n1-\n", (1, -1)),
-    ],
+    [("2+\n", (2, 1)), (" 3 -\n", (3, -1)), ("0\n", None), ("nothing\n", None), ("left\n4+\n1\n1-\n", (1, -1))],
 )
 def test_what_moved_is_asked_until_the_answer_makes_sense(
     monkeypatch: pytest.MonkeyPatch, typed: str, answer: tuple[int, int] | None
@@ -39,12 +33,8 @@ def test_what_moved_is_asked_until_the_answer_makes_sense(
     assert answering(monkeypatch, typed).what_moved(3) == answer
 
 
-@pytest.mark.parametrize(
-    ("typed", "degrees"), [("17.5\n", 17.5), ("-3,5\n", -3.5), ("about ten\ninf\n10\n", 10.0), ("\n", None)]
-)
-def test_angles_are_read_in_degrees(
-    monkeypatch: pytest.MonkeyPatch, typed: str, degrees: float | None
-) -> None:
+@pytest.mark.parametrize(("typed", "degrees"), [("17.5\n", 17.5), ("-3,5\n", -3.5), ("about ten\ninf\n10\n", 10.0), ("\n", None)])
+def test_angles_are_read_in_degrees(monkeypatch: pytest.MonkeyPatch, typed: str, degrees: float | None) -> None:
     found = answering(monkeypatch, typed).angle_rad(1)
     assert found is None if degrees is None else found == pytest.approx(math.radians(degrees))
 

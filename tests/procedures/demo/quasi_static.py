@@ -26,12 +26,7 @@ class QuasiStaticBench:
     speed = 1.0
 
     def __init__(
-        self,
-        arm: Arm,
-        deviation: np.ndarray,
-        width_rad: Sequence[float],
-        camera_m: float = 1.4e-4,
-        seed: int = 0,
+        self, arm: Arm, deviation: np.ndarray, width_rad: Sequence[float], camera_m: float = 1.4e-4, seed: int = 0
     ) -> None:
         self._true_dh, self._width_rad = arm.dh + deviation, np.array(width_rad)
         self._model, self._camera_m = ArmModel(arm), camera_m
@@ -88,9 +83,7 @@ class QuasiStaticBench:
         assert self.mode == "HOLDING"
         self.moves += 1
         target = np.array(q_rad)
-        self._last = np.where(
-            np.abs(target - self._motor_rad) > 1e-6, np.sign(target - self._motor_rad), self._last
-        )
+        self._last = np.where(np.abs(target - self._motor_rad) > 1e-6, np.sign(target - self._motor_rad), self._last)
         self._motor_rad = target
         gravity = np.array(self._torque.gravity(target.tolist()))
         flank = np.sign(gravity + LINK_SHARE * FRICTION_Nm * self._last)
@@ -106,9 +99,19 @@ class QuasiStaticBench:
         tip = self._tip_m() + noise(0.0, self._camera_m / np.sqrt(100.0 * duration_s), 3)
         seen = MeanPose(10, (float(tip[0]), float(tip[1]), float(tip[2])), (self._camera_m,) * 3, None)
         return Average(
-            duration_s, 50, tuple(q.tolist()), (ENCODER_NOISE_rad,) * len(gravity), tuple(current.tolist()),
-            tuple(int(d) for d in self._last), seen.frames, seen.position_m, seen.std_m, (), self._t_s, seen,
-        )  # fmt: skip
+            duration_s,
+            50,
+            tuple(q.tolist()),
+            (ENCODER_NOISE_rad,) * len(gravity),
+            tuple(current.tolist()),
+            tuple(int(d) for d in self._last),
+            seen.frames,
+            seen.position_m,
+            seen.std_m,
+            (),
+            self._t_s,
+            seen,
+        )
 
     # MockHand
     def seat(self, point_m: Sequence[float]) -> float:

@@ -77,9 +77,7 @@ def is_corrected(outcome: JobOutcome) -> bool:
     return before_m > 5e-3 and after_m < min(0.6e-3, 0.1 * before_m)
 
 
-@pytest.mark.parametrize(
-    ("seed", "is_drawn"), [(1, True), pytest.param(12, False, marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize(("seed", "is_drawn"), [(1, True), pytest.param(12, False, marks=pytest.mark.nightly)])
 def test_what_is_hidden_is_found_and_corrected(
     arm_file: Path,
     quick_hand: Path,
@@ -93,9 +91,7 @@ def test_what_is_hidden_is_found_and_corrected(
     monkeypatch.setattr(demo_command.job, "programme_of", lambda table: small_programme(table, is_drawn))
     scenario = [] if is_drawn else ["--scenario", str(quick_hand)]
     if not is_drawn:  # paths and pictures take seconds, and the first seed has had them
-        monkeypatch.setattr(
-            demo_command.job, "write_report", lambda path, shown: path.write_text("", "utf-8")
-        )
+        monkeypatch.setattr(demo_command.job, "write_report", lambda path, shown: path.write_text("", "utf-8"))
     out = tmp_path / "demo"
     assert main(["demo", "--arm", str(arm_file), "--seed", str(seed), "--out", str(out), *scenario]) == 0
     assert str(out / "report.html") in capsys.readouterr().out
@@ -110,8 +106,13 @@ def test_what_is_hidden_is_found_and_corrected(
 def assert_results_are_complete(out: Path, nominal: Arm) -> None:
     """Every file is there; the calibrated arm says where it is from and puts its tip elsewhere; ten points of two tilts."""
     assert {path.name for path in out.iterdir()} >= {
-        "points.csv", "arm_calibrated.toml", "calibration.json", "report.html", "scenario.toml", "verification.txt",
-    }  # fmt: skip
+        "points.csv",
+        "arm_calibrated.toml",
+        "calibration.json",
+        "report.html",
+        "scenario.toml",
+        "verification.txt",
+    }
     calibrated = load_arm(out / "arm_calibrated.toml")
     assert calibrated.calibration is not None
     assert calibrated.calibration.source
@@ -141,10 +142,7 @@ def test_results_are_never_overwritten(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("html", "is_so"),
     [
-        (
-            '<svg xmlns="http://www.w3.org/2000/svg"><use href="#a"/></svg><img src="data:image/png;base64,AA">',
-            True,
-        ),
+        ('<svg xmlns="http://www.w3.org/2000/svg"><use href="#a"/></svg><img src="data:image/png;base64,AA">', True),
         ('<script src="https://cdn.example/x.js"></script>', False),
         ('<link href="//cdn.example/x.css">', False),
         ("<style>@font-face{src:url(https://x/y.woff)}</style>", False),

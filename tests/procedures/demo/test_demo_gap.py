@@ -24,9 +24,7 @@ RIGHT = load_arm("right")
 
 def at_rest(scenario: Scenario) -> Scenario:
     """At a pose inside the limits."""
-    return msgspec.structs.replace(
-        scenario, start=msgspec.structs.replace(scenario.start, q_rad=(0.0, 0.1, 0.2))
-    )
+    return msgspec.structs.replace(scenario, start=msgspec.structs.replace(scenario.start, q_rad=(0.0, 0.1, 0.2)))
 
 
 @pytest.mark.parametrize("effect", sorted(SIZES))

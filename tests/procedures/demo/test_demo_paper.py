@@ -16,16 +16,7 @@ from control.model import table as tables
 from control.model.description import load_arm
 from procedures.demo import paper
 from procedures.demo.paper import PaperOutcome
-from procedures.demo.paper_models import (
-    BACKLASH,
-    FREE,
-    OTHER,
-    SETUPS,
-    TILTS,
-    commands,
-    free_poses,
-    verification_targets,
-)
+from procedures.demo.paper_models import BACKLASH, FREE, OTHER, SETUPS, TILTS, commands, free_poses, verification_targets
 from procedures.demo.paper_page import improvement, table_text
 from tests.procedures.demo.quasi_static import QuasiStaticBench
 
@@ -34,7 +25,7 @@ WIDTH_rad = (0.005, 0.003, 0.006)
 # Within the bounds, and some 27 mm at the table: a turn of joint 1 and a lift of joint 2 do most of it.
 DEVIATION = np.array(
     [[0.003, 0.03, 0.001, 0.01], [-0.002, 0.025, -0.003, 0.01], [0.001, 0.01, 0.002, -0.01], [0.002, 0.0, 0.001, 0.0]]
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

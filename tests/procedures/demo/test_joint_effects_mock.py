@@ -45,11 +45,7 @@ def recorded(tmp_path: Path, hidden: str) -> tuple[Points, np.ndarray]:
     try:
         client = bench.start(ARM)
         client.enable()
-        poses = [
-            GentlePose("free", f"{k}", q, (side,) * 3, 1 + (side < 0))
-            for k, q in enumerate(ANGLES_rad)
-            for side in (1, -1)
-        ]
+        poses = [GentlePose("free", f"{k}", q, (side,) * 3, 1 + (side < 0)) for k, q in enumerate(ANGLES_rad) for side in (1, -1)]
         with PointsWriter(tmp_path / "points.csv", 3) as writer:
             # a stop is told before it is taken: the joints stand where the one before it was recorded
             joint_rad = [bench.rig.joint_rad() for _ in Mover(ARM, bench, client).visit(poses, writer)][1:]
@@ -82,10 +78,7 @@ def test_scale_compliance_and_coupling_add_up_to_where_the_joints_are(tmp_path: 
         + effect("belt_coupling", None, ratio=OTHERS["belt_coupling"])
     )
     points, ahead = recorded(tmp_path, hidden)
-    found = {
-        c.name: c.slope_rad
-        for c in corrections(ARM, points, ["encoder_scale:1", "joint_compliance:2", "belt_coupling"])
-    }
+    found = {c.name: c.slope_rad for c in corrections(ARM, points, ["encoder_scale:1", "joint_compliance:2", "belt_coupling"])}
     # Half of the friction is on the links, as docs/mock_robot.md says.
     values = OTHERS | {"compliance2_held": 0.5 * OTHERS["compliance2"]}
     expected = sum(value * found[name] for name, value in values.items())

@@ -60,9 +60,7 @@ def found_on(*faults: FaultTable, believed: Arm = RIGHT) -> list[str]:
     """`level what: measured -> remedy` of everything that is not well."""
     with open_rig(*faults, believed=believed) as (rig, arm):
         findings = examined(rig, arm)
-    return [
-        f"{f.level.name} {f.what}: {f.measured} -> {f.remedy}" for f in findings if f.level is not Level.OK
-    ]
+    return [f"{f.level.name} {f.what}: {f.measured} -> {f.remedy}" for f in findings if f.level is not Level.OK]
 
 
 def test_a_good_arm_is_well_and_every_quantity_was_looked_at() -> None:
@@ -71,9 +69,19 @@ def test_a_good_arm_is_well_and_every_quantity_was_looked_at() -> None:
     assert worst(findings) is Level.OK, as_text(findings)
     looked_at = " ".join(finding.what for finding in findings)
     for quantity in (
-        "report rate", "frames lost", "clock", "jitter", "load of its serial line", "replies", "latency", "CAN bus load",
-        "encoder", "current", "supply", "power stage",
-    ):  # fmt: skip
+        "report rate",
+        "frames lost",
+        "clock",
+        "jitter",
+        "load of its serial line",
+        "replies",
+        "latency",
+        "CAN bus load",
+        "encoder",
+        "current",
+        "supply",
+        "power stage",
+    ):
         assert quantity in looked_at
 
 
@@ -106,7 +114,7 @@ def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
         (FaultTable("wrong_protocol", "motor1", value=7.0), "speaks protocol version 7, expected 1"),
         (FaultTable("quadrature_error", "encoder", channel=0, at_s=0.5), "illegal transition"),
     ],
-)  # fmt: skip
+)
 def test_each_fault_is_named(fault: FaultTable, words: str) -> None:
     # Listening begins at about 0.25 s of the mock's time; faults "at 0.5 s" come once the boards have been met.
     with open_rig(fault) as (rig, arm):
@@ -200,15 +208,18 @@ def test_boards_that_would_free_their_motors_without_the_host_are_named(mode: st
     assert all("a loaded arm drops" in found.measured for found in unwell)
 
 
-UP = {"flags": ["NOARP", "UP", "LOWER_UP"], "txqlen": 100, "linkinfo": {"info_kind": "can", "info_data": {
-    "state": "ERROR-ACTIVE", "restart_ms": 100, "bittiming": {"bitrate": 1_000_000},
-}}}  # fmt: skip
+UP = {
+    "flags": ["NOARP", "UP", "LOWER_UP"],
+    "txqlen": 100,
+    "linkinfo": {
+        "info_kind": "can",
+        "info_data": {"state": "ERROR-ACTIVE", "restart_ms": 100, "bittiming": {"bitrate": 1_000_000}},
+    },
+}
 CAN0 = CanBus("socketcan", "can0")
 
 
-def about_can(
-    can: CanBus, details: Mapping[str, Any] | None, needs_fd: bool = False, **data: object
-) -> list[str]:
+def about_can(can: CanBus, details: Mapping[str, Any] | None, needs_fd: bool = False, **data: object) -> list[str]:
     """What is not well, with `data` in place of what the kernel says of a good interface."""
     if details is not None and data:
         info = {**details["linkinfo"]["info_data"], **data}
@@ -267,14 +278,7 @@ def test_drift_and_jitter_come_out_of_arrivals() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "level"),
-    [
-        (1.0, Level.OK),
-        (1.0001, Level.WARN),
-        (2.0, Level.WARN),
-        (2.0001, Level.BAD),
-        (float("nan"), Level.BAD),
-    ],
+    ("value", "level"), [(1.0, Level.OK), (1.0001, Level.WARN), (2.0, Level.WARN), (2.0001, Level.BAD), (float("nan"), Level.BAD)]
 )
 def test_limits_are_inclusive_and_a_nan_is_bad(value: float, level: Level) -> None:
     finding = graded("host", "x", value, (1.0, 2.0), ("m", "e", "r"))
@@ -322,9 +326,7 @@ def test_the_command_says_json_and_fails_on_what_is_bad(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(host, "PAUSE_TEST_S", 0.02)
-    monkeypatch.setattr(
-        "console.commands.bringup.look_at_host", lambda *_: []
-    )  # of the machine that tests run on
+    monkeypatch.setattr("console.commands.bringup.look_at_host", lambda *_: [])  # of the machine that tests run on
     file = tmp_path / "hurt.toml"
     file.write_text('[[fault]]\nkind = "silent"\nboard = "motor3"\n')
     options = ["doctor", "--mock", "--seconds", "0.1", "--json"]
@@ -345,9 +347,7 @@ def test_the_command_says_json_and_fails_on_what_is_bad(
         (["--mock", "--scenario", "nowhere"], "there is no such file"),
     ],
 )
-def test_wrong_input_is_one_message(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_input_is_one_message(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", *options]) == 2
     assert words in capsys.readouterr().err
 
@@ -359,8 +359,10 @@ def test_the_kernel_is_looked_at_and_what_is_missing_has_a_remedy(tmp_path: Path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(f"{text}\n")
     assert [(found.level, found.measured) for found in look_at_kernel(tmp_path)] == [
-        (Level.WARN, "powersave"), (Level.WARN, "without PREEMPT_RT"), (Level.WARN, "50 % of each second"),
-    ]  # fmt: skip
+        (Level.WARN, "powersave"),
+        (Level.WARN, "without PREEMPT_RT"),
+        (Level.WARN, "50 % of each second"),
+    ]
     assert all(found.remedy for found in look_at_kernel(tmp_path))
     for file, text in ((governor, "performance"), (realtime, "1"), (throttle, "-1")):
         file.write_text(f"{text}\n")

@@ -72,9 +72,7 @@ AT_NIGHT = (
 )
 
 
-@pytest.mark.parametrize(
-    "name", [*AT_EACH_CHANGE, *(pytest.param(name, marks=pytest.mark.nightly) for name in AT_NIGHT)]
-)
+@pytest.mark.parametrize("name", [*AT_EACH_CHANGE, *(pytest.param(name, marks=pytest.mark.nightly) for name in AT_NIGHT)])
 def test_a_drill_goes_as_promised(name: str) -> None:
     outcome = drills()[name].run()
     assert outcome.broken == ()
@@ -88,9 +86,7 @@ OF_ANOTHER_ARM = ("wrap", "unseen")  # homed first; what they do, others do too
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(
-            name, marks=[] if name in ("bit-rate-motion", "another-host-rest") else pytest.mark.nightly
-        )
+        pytest.param(name, marks=[] if name in ("bit-rate-motion", "another-host-rest") else pytest.mark.nightly)
         for name, drill in drills().items()
         if isinstance(drill, Drill) and not name.startswith((*IN_THE_CLIENT, *OF_ANOTHER_ARM))
     ],
@@ -152,9 +148,7 @@ def test_drills_run_on_a_mock_only(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--mock" in capsys.readouterr().err
 
 
-def test_a_wrong_name_is_answered_by_near_ones_and_by_what_lists_all(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_wrong_name_is_answered_by_near_ones_and_by_what_lists_all(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["drill", "serial-los-rest", "--mock"]) == 2
     error = capsys.readouterr().err
     assert "did you mean serial-lost-rest" in error

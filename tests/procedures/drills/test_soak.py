@@ -25,8 +25,6 @@ def test_flat_memory_handles_and_counts_are_no_drift(capsys: pytest.CaptureFixtu
         ({"lost": 1}, "frames were lost"),
     ],
 )
-def test_whatever_drifts_is_named(
-    change: dict[str, float], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_whatever_drifts_is_named(change: dict[str, float], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert verdict([*LOOKS, replace(LOOKS[-1], **change)]) == 1
     assert said in capsys.readouterr().out

@@ -27,9 +27,17 @@ def log_of(has_stamps: bool = True) -> Log:
         for j in range(3 if has_stamps else 0):
             extra[f"counted{j + 1}_s"] = tuple(f"{v:.12g}" for v in raw.counted_s[:, j])
         run = LoggedRun(
-            str(number), raw.t_s - raw.t_s[0], raw.q_rad, raw.q_set_rad, raw.current_A, raw.voltage_V,
-            np.zeros(len(raw.t_s)), np.full((len(raw.t_s), 3), np.nan), MappingProxyType(extra), True,
-        )  # fmt: skip
+            str(number),
+            raw.t_s - raw.t_s[0],
+            raw.q_rad,
+            raw.q_set_rad,
+            raw.current_A,
+            raw.voltage_V,
+            np.zeros(len(raw.t_s)),
+            np.full((len(raw.t_s), 3), np.nan),
+            MappingProxyType(extra),
+            True,
+        )
         runs.append(run)
     return Log(tuple(runs), ("log.csv",))
 

@@ -16,21 +16,12 @@ from tests.calib.gap.series.prescribed import arm_with_friction, log_of, write_l
 
 def written(path: Path, points: Points) -> Path:
     header = ["setup", "point", "repeat", "t_s", "payload_kg"]
-    header += [form.format(j) for form in ("q{}_rad", "dir{}", "i{}_A") for j in (1, 2, 3)] + [
-        "x_m",
-        "y_m",
-        "z_m",
-    ]
+    header += [form.format(j) for form in ("q{}_rad", "dir{}", "i{}_A") for j in (1, 2, 3)] + ["x_m", "y_m", "z_m"]
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         for k in range(len(points)):
-            numbers = [
-                *points.q_rad[k],
-                *map(int, points.direction[k]),
-                *points.current_A[k],
-                *points.tip_m[k],
-            ]
+            numbers = [*points.q_rad[k], *map(int, points.direction[k]), *points.current_A[k], *points.tip_m[k]]
             start = [points.setup[k], points.point[k], points.repeat[k], points.t_s[k], points.payload_kg[k]]
             writer.writerow([*start, *numbers])
     return path
@@ -57,9 +48,7 @@ def test_a_hidden_play_is_named_and_added_to_a_new_arm(points, tmp_path, capsys)
 
 
 def test_without_the_effect_in_the_list_the_answer_is_unknown(points, tmp_path, capsys) -> None:
-    assert (
-        main(["gap", "--points", str(points), "--out", str(tmp_path), "--without", "backlash", "--json"]) == 0
-    )
+    assert main(["gap", "--points", str(points), "--out", str(tmp_path), "--without", "backlash", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert [e["effect"] for e in content["effects"]] == ["link_geometry"]
     assert "joint 1" in content["unknown"]["where"]

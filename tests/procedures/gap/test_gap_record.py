@@ -29,14 +29,7 @@ from procedures.gap.recording import note, record
 from procedures.mock import SteppedBench, scenario_bytes
 from procedures.tour import Bench
 from tests.cell import scenario
-from tests.control.loop.test_encoder_places import (
-    BELT,
-    HIDDEN,
-    PLAY_rad,
-    arm_of_four,
-    known_friction,
-    with_both,
-)
+from tests.control.loop.test_encoder_places import BELT, HIDDEN, PLAY_rad, arm_of_four, known_friction, with_both
 
 PLACE = tuple(quaternions(turn_of(BASE_turn_rad)[None])[0].tolist())
 STREAM = CameraStream("vicon", "tool", "base", origin_m=BASE_m, orientation=PLACE)
@@ -194,25 +187,11 @@ def test_the_folder_of_another_plan_is_left_alone(recorded: Recorded) -> None:
 
 def test_plan_json_says_every_step(recorded: Recorded) -> None:
     content = json.loads((recorded.out / "plan.json").read_text())
-    assert [step.get("point") or f"run {step['run']}" for step in content["steps"]] == [
-        "p1", "p1", "run 1", "p2", "run 2",
-    ]  # fmt: skip
+    assert [step.get("point") or f"run {step['run']}" for step in content["steps"]] == ["p1", "p1", "run 1", "p2", "run 2"]
 
 
-def test_the_plan_alone_is_said_and_nothing_is_made(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = [
-        "gap",
-        "--record",
-        "--mock",
-        "--plan-only",
-        "--quick",
-        "--only",
-        "static",
-        "--out",
-        str(tmp_path / "d"),
-    ]
+def test_the_plan_alone_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["gap", "--record", "--mock", "--plan-only", "--quick", "--only", "static", "--out", str(tmp_path / "d")]
     assert main(arguments) == 0
     said = capsys.readouterr().out
     assert "86 poses and 0 motions, some of them with 0.5 kg at the tip" in said
@@ -233,10 +212,7 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
         (["--record", "--mock", "--payload", "-0.5"], "--payload: expected a mass"),
         (["--record", "--mock", "--payload", "4"], "4 kg, and the motors move 1.18 kg"),
         (["--record", "--scenario", "demo"], "need --mock"),
-        (
-            ["--record", "--socket", "/nowhere/at.all", "--only", "motion"],
-            "no runtime answers at /nowhere/at.all",
-        ),
+        (["--record", "--socket", "/nowhere/at.all", "--only", "motion"], "no runtime answers at /nowhere/at.all"),
     ],
 )
 def test_what_makes_no_sense_is_one_clear_error_and_nothing_is_written(

@@ -32,18 +32,14 @@ def angle(t: np.ndarray, order: int = 0) -> np.ndarray:
     return total
 
 
-def run(
-    start_s: float, noise: float = 1.0, seed: int = 0, has_camera: bool = True, is_newest: bool = False
-) -> Raw:
+def run(start_s: float, noise: float = 1.0, seed: int = 0, has_camera: bool = True, is_newest: bool = False) -> Raw:
     """What the runtime would record of an arm that moves like that: staircase voltages, a current mean, a board's own clock.
 
     `is_newest`: the current is that at the end of the row before, under its voltage.
     """
     draw = np.random.default_rng((seed, round(start_s)))
     t = start_s + PERIOD_s * np.arange(round(LENGTH_s / PERIOD_s))
-    counted = (
-        np.floor(((t - OFFSET_s) * (1.0 + RATE) + 4e-4) * 1000.0) / 1000.0 - 1e-3
-    )  # newest report of each millisecond
+    counted = np.floor(((t - OFFSET_s) * (1.0 + RATE) + 4e-4) * 1000.0) / 1000.0 - 1e-3  # newest report of each millisecond
     latched = counted / (1.0 + RATE) + OFFSET_s
     q = angle(latched) + noise * draw.normal(0.0, 8e-6, (len(t), 3))
     current = np.zeros((len(t), 3))
@@ -64,9 +60,7 @@ def run(
         seen = ForwardKinematics(ARM).tips(angle(t[frames] - CAMERA_s))
         tip[frames] = seen + noise * draw.normal(0.0, 1.4e-4, seen.shape) + 0.004  # a frame that is displaced
     lead = np.full((len(t), 3), np.nan)
-    lead[::20, 1] = 1e-3 * np.sin(
-        t[::20]
-    )  # joint 2 has an encoder on the motor, too, which is asked now and then
+    lead[::20, 1] = 1e-3 * np.sin(t[::20])  # joint 2 has an encoder on the motor, too, which is asked now and then
     return Raw(t, q, angle(t), current, voltage, np.repeat(counted[:, None], 3, axis=1), tip, 0.0, lead)
 
 
@@ -136,9 +130,17 @@ def test_a_run_of_another_runtime_is_put_on_a_clock_of_its_own(tmp_path: Path) -
 
 def write_run(folder: Path, name: str, one: Raw, lost: str | None = None, has_leads: bool = True) -> None:
     n = 3
-    table = {f"{form}{j + 1}{unit}": values[:, j] for j in range(n) for form, unit, values in (
-        ("q", "_rad", one.q_rad), ("q", "_set_rad", one.q_set_rad), ("i", "_A", one.current_A), ("u", "_V", one.voltage_V),
-        ("counted", "_s", one.counted_s))}  # fmt: skip
+    table = {
+        f"{form}{j + 1}{unit}": values[:, j]
+        for j in range(n)
+        for form, unit, values in (
+            ("q", "_rad", one.q_rad),
+            ("q", "_set_rad", one.q_set_rad),
+            ("i", "_A", one.current_A),
+            ("u", "_V", one.voltage_V),
+            ("counted", "_s", one.counted_s),
+        )
+    }
     table |= {
         "lead2_rad": one.lead_rad[:, 1],
         "t_s": one.t_s,
@@ -186,10 +188,7 @@ def test_what_a_board_is_told_beside_a_position_is_no_voltage(tmp_path: Path, ki
 
 
 def test_without_voltages_a_bought_boards_counts_are_as_old_as_the_host_noted() -> None:
-    bare = [
-        replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), counted_s=raw.counted_s + OFFSET_s)
-        for raw in RUNS[:1]
-    ]
+    bare = [replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), counted_s=raw.counted_s + OFFSET_s) for raw in RUNS[:1]]
     clocks = clocks_of(on_boards(ARM, "dynamixel"), bare)
     assert clocks.angle_age_s == pytest.approx(np.mean(bare[0].t_s - bare[0].counted_s[:, 0]), abs=1e-9)
 
@@ -204,8 +203,7 @@ def test_an_exported_log_begins_at_0_while_a_bought_boards_counts_have_the_hosts
 
 def test_without_voltages_angles_count_as_half_a_cycle_old_and_without_frames_there_is_no_camera() -> None:
     bare = [
-        replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), tip_m=np.full_like(raw.tip_m, np.nan))
-        for raw in RUNS[:1]
+        replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), tip_m=np.full_like(raw.tip_m, np.nan)) for raw in RUNS[:1]
     ]
     clocks = clocks_of(ARM, bare)
     assert clocks.angle_age_s == pytest.approx(0.5 * PERIOD_s, abs=1e-6)

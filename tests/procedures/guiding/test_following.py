@@ -30,9 +30,7 @@ def test_the_supplied_arms_are_mirrored_by_turning_the_first_joint_the_other_way
 
 def test_arms_that_are_no_mirror_images_are_refused() -> None:
     other = Placed(load_arm("right"), (0.0, 0.6, 0.0))
-    with pytest.raises(
-        ArmError, match=r"no mirror images of each other in this cell: the tips miss by 0\.024 m"
-    ):
+    with pytest.raises(ArmError, match=r"no mirror images of each other in this cell: the tips miss by 0\.024 m"):
         mirror_signs(other, RIGHT)
     with pytest.raises(ArmError, match="stand at one place"):
         mirror_signs(LEFT, replace(RIGHT, origin_m=LEFT.origin_m))
@@ -70,8 +68,5 @@ def test_a_stop_ends_following_and_a_client_that_falls_silent_lets_the_follower_
 
 
 def test_an_arm_that_is_off_is_not_followed() -> None:
-    with (
-        open_pair() as pair,
-        pytest.raises(ArmError, match="arm 'left' is OFF and not homed: enable and home both arms first"),
-    ):
+    with open_pair() as pair, pytest.raises(ArmError, match="arm 'left' is OFF and not homed: enable and home both arms first"):
         pair_of(pair, (1.0, 1.0, 1.0)).approach()

@@ -75,18 +75,12 @@ def test_a_pose_outside_of_the_range_and_an_arm_that_hardly_moved_are_refused() 
 
 def recorded(folder: Path, modes: list[tuple[int, Mode]]) -> Path:
     """A recording of one row a cycle: run and mode."""
-    rows = {
-        k: {"run": run, "mode": list(Mode).index(mode), "q1_rad": 0.001 * k}
-        for k, (run, mode) in enumerate(modes)
-    }
+    rows = {k: {"run": run, "mode": list(Mode).index(mode), "q1_rad": 0.001 * k} for k, (run, mode) in enumerate(modes)}
     return write_recording(folder / f"{len(modes)}.armlog", len(modes), changes=rows)
 
 
 def test_the_last_guided_run_is_taken_unless_another_is_named(tmp_path: Path) -> None:
-    file = recorded(
-        tmp_path,
-        [(1, Mode.GUIDING)] * 5 + [(2, Mode.HOLDING)] * 5 + [(3, Mode.GUIDING)] * 7 + [(4, Mode.HOLDING)],
-    )
+    file = recorded(tmp_path, [(1, Mode.GUIDING)] * 5 + [(2, Mode.HOLDING)] * 5 + [(3, Mode.GUIDING)] * 7 + [(4, Mode.HOLDING)])
     assert len(guided_motion(file, RIGHT).times_s) == 7
     assert guided_motion(file, RIGHT, 1).q_rad[:, 0] == pytest.approx([0.0, 0.001, 0.002, 0.003, 0.004])
     with pytest.raises(ArmError, match="no hand-guided run 2: it has hand-guided runs 1, 3"):

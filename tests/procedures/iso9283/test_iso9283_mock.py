@@ -98,9 +98,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
 def evaluated(recorded: Recorded, *more: str) -> dict[str, Criterion]:
     """Criteria by name, by the command line."""
     out = recorded.out.parent / "evaluated"
-    arguments = [
-        "--points", str(recorded.out / "points.csv"), "--log", str(recorded.out / "log.csv"), "--out", str(out),
-    ]  # fmt: skip
+    arguments = ["--points", str(recorded.out / "points.csv"), "--log", str(recorded.out / "log.csv"), "--out", str(out)]
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         assert main(["iso9283", *arguments, *more, "--json"]) == 0
     document = json.loads((out / "iso9283.json").read_text("utf-8"))
@@ -139,9 +137,7 @@ def test_accuracy_and_repeatability_are_those_of_the_true_tip_within_the_cameras
         assert 0.05 * noise_m < said["RP_l"] < 0.6e-3 * 0.5 + 6 * noise_m
 
 
-def test_paths_are_as_far_off_as_the_geometry_and_repeat_within_the_noise(
-    criteria: dict[str, Criterion],
-) -> None:
+def test_paths_are_as_far_off_as_the_geometry_and_repeat_within_the_noise(criteria: dict[str, Criterion]) -> None:
     path = {f["symbol"]: f["value"] for f in criteria["Path accuracy and path repeatability"]["figures"]}
     assert 5e-3 < path["AT_p"] < 40e-3
     assert path["RT_p"] < 8 * CAMERA_m  # single frames: the largest l + 3 S of 100 points, two cycles
@@ -152,12 +148,7 @@ def test_paths_are_as_far_off_as_the_geometry_and_repeat_within_the_noise(
 
 
 def test_what_the_recording_did_not_hold_is_said(criteria: dict[str, Criterion]) -> None:
-    for name in (
-        "Exchangeability",
-        "Static compliance",
-        "Weaving deviations",
-        "Drift of pose characteristics",
-    ):
+    for name in ("Exchangeability", "Static compliance", "Weaving deviations", "Drift of pose characteristics"):
         assert not criteria[name]["figures"]
         assert criteria[name]["needs"]
 
@@ -187,9 +178,7 @@ def test_the_rated_speed_is_one_that_the_planner_need_not_slow() -> None:
 
 
 def test_the_plan_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert (
-        main(["iso9283", "--mock", "--plan-only", "--programmes", "pose", "--out", str(tmp_path / "d")]) == 0
-    )
+    assert main(["iso9283", "--mock", "--plan-only", "--programmes", "pose", "--out", str(tmp_path / "d")]) == 0
     assert "everything is within reach" in capsys.readouterr().out
     assert not (tmp_path / "d").exists()
 
@@ -203,10 +192,7 @@ def test_the_plan_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.Cap
         (["--mock", "--programmes", "poses"], "expected some of pose, directions"),
         (["--mock", "--cube-edge", "0.2"], "give both --cube-centre X Y Z and --cube-edge"),
         (["--mock", "--cube-edge", "0.2", "--cube-centre", "2", "0", "1"], "out of reach"),
-        (
-            ["--mock", "--rated-speed=-1"],
-            "--rated-speed: expected a rated path speed in m/s above 0 and up to 1, got -1",
-        ),
+        (["--mock", "--rated-speed=-1"], "--rated-speed: expected a rated path speed in m/s above 0 and up to 1, got -1"),
         (["--mock", "--speed", "2"], "--speed: expected a fraction"),
         (["--mock", "--rated-load-kg", "5"], "--rated-load-kg: expected at most 2.3"),
         (["--points", "absent.csv"], "absent.csv: cannot be read"),
@@ -238,9 +224,7 @@ def test_paths_corners_and_weaving_are_planned_for_more_than_three_joints(arm: A
     x, y, z = ForwardKinematics(arm).tip(*arm.rest.q_rad) if arm.rest else (0.0, 0.0, 0.0)
     cube = TestCube((x, y, z), 0.06)
     programmes = ("pose", "path", "cornering", "weaving")
-    planned = plan(
-        arm, cube, Extent(repeats=2, path_cycles=2, speed_shares=(1.0,), programmes=programmes), 0.1
-    )
+    planned = plan(arm, cube, Extent(repeats=2, path_cycles=2, speed_shares=(1.0,), programmes=programmes), 0.1)
     names = {step.programme for step in planned.steps if isinstance(step, PathRun)}
     assert len(names) >= 3
     assert len(planned.paths) >= 3

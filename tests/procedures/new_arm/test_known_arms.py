@@ -101,9 +101,7 @@ def found_bad(built: Arm, believed: Arm, level: Level = Level.BAD) -> str:
     with SteppedRig(built, load_scenario("ideal")) as rig:
         boards = open_boards(wired_to(believed, rig), rig.clock, period_s)
         boards.close()
-    return "\n".join(
-        f"{finding.what}: {finding.measured}" for finding in boards.findings if finding.level is level
-    )
+    return "\n".join(f"{finding.what}: {finding.measured}" for finding in boards.findings if finding.level is level)
 
 
 def test_servos_whose_ids_are_in_another_order_are_named_where_their_types_differ() -> None:
@@ -111,10 +109,7 @@ def test_servos_whose_ids_are_in_another_order_are_named_where_their_types_diffe
     turned = [dataclasses.replace(board, address=7 - board.address) for board in koch.boards]
     said = found_bad(dataclasses.replace(koch, boards=tuple(turned)), koch)
     assert '"shoulder_pan" (id 1)' in said
-    assert (
-        "expected XL430-W250, as arm.toml has it there, it is XL330-M288: are the ids in another order?"
-        in said
-    )
+    assert "expected XL430-W250, as arm.toml has it there, it is XL330-M288: are the ids in another order?" in said
 
 
 def test_servos_of_another_voltage_are_named_before_they_are_driven() -> None:
@@ -122,21 +117,14 @@ def test_servos_of_another_voltage_are_named_before_they_are_driven() -> None:
     text = arm_text(owned).replace("STS3215-12V", "STS3215-7.4V")
     weak = parse_arm(text, Path("weak.toml"))
     assert weak.drives[0].supply_V == 7.4
-    assert (
-        "expected a servo for 12 V, as arm.toml has it, what is stored in it allows 4.0 to 8.6 V"
-        in found_bad(weak, owned)
-    )
+    assert "expected a servo for 12 V, as arm.toml has it, what is stored in it allows 4.0 to 8.6 V" in found_bad(weak, owned)
     assert found_bad(weak, weak) == ""
     assert found_bad(owned, weak).startswith("joint 1: supply: 12.0 V")
 
 
-def test_a_middle_that_is_not_at_its_zero_count_is_told_where_the_joint_then_reads_outside_its_range() -> (
-    None
-):
+def test_a_middle_that_is_not_at_its_zero_count_is_told_where_the_joint_then_reads_outside_its_range() -> None:
     owned = load_arm("so101")
-    unset = dataclasses.replace(
-        owned.drives[1], zero_count=owned.drives[1].zero_count + 1700
-    )  # as it was screwed on
+    unset = dataclasses.replace(owned.drives[1], zero_count=owned.drives[1].zero_count + 1700)  # as it was screwed on
     built = dataclasses.replace(owned, drives=(owned.drives[0], unset, *owned.drives[2:]))
     assert found_bad(built, owned, Level.WARN) == "joint 2: where it stands: 2.207 rad"
     assert found_bad(owned, owned, Level.WARN) == ""
@@ -145,11 +133,7 @@ def test_a_middle_that_is_not_at_its_zero_count_is_told_where_the_joint_then_rea
 def test_bringup_finds_servos_of_one_type_whose_ids_are_in_another_order(tmp_path: Path) -> None:
     draft = load_arm("so101")
     first, second, *rest = draft.boards
-    swapped = (
-        dataclasses.replace(first, address=second.address),
-        dataclasses.replace(second, address=first.address),
-        *rest,
-    )
+    swapped = (dataclasses.replace(first, address=second.address), dataclasses.replace(second, address=first.address), *rest)
     outcome, _ = brought(tmp_path, draft, SURVEY, real=dataclasses.replace(draft, boards=swapped))
     said = said_of(outcome)
     assert 'joint 1: SWAPPED MOTOR: board "shoulder_lift" (output 1) moves it' in said
@@ -168,8 +152,7 @@ def test_a_horn_on_another_tooth_is_told_before_points_are_fitted(joint: int, te
     tips = ForwardKinematics(arm.with_dh(dh)).tips(standing) + random.normal(0.0, 5e-4, (40, 3))
     zero_count = 2048 - round(tooth_rad * 4096 / (2.0 * math.pi))
     with pytest.raises(
-        CalibrationError,
-        match=rf"horn is on another tooth: turn it by one, or set its zero_count to {zero_count}",
+        CalibrationError, match=rf"horn is on another tooth: turn it by one, or set its zero_count to {zero_count}"
     ):
         calibrate(arm, make_points(q_rad, tips))
     drive = dataclasses.replace(arm.drives[joint - 1], zero_count=zero_count)

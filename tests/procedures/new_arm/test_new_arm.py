@@ -34,9 +34,7 @@ def new(tmp_path: Path, *options: str, name: str = "mine.toml") -> tuple[int, Pa
 
 
 @pytest.mark.parametrize("joints", range(2, 8))
-def test_every_number_of_joints_makes_an_arm_with_the_boards_that_it_needs(
-    joints: int, tmp_path: Path
-) -> None:
+def test_every_number_of_joints_makes_an_arm_with_the_boards_that_it_needs(joints: int, tmp_path: Path) -> None:
     status, file = new(tmp_path, "--joints", str(joints), "--yes")
     arm = load_arm(file)
     assert status == 0
@@ -86,11 +84,7 @@ def test_a_kind_of_board_for_each_joint_is_written_and_runs_on_the_mock_at_once(
 def test_a_bought_board_beside_reference_boards_takes_none_of_their_channels(tmp_path: Path) -> None:
     _, file = new(tmp_path, "--joints", "3", "--boards", "reference", "vesc", "reference", "--yes")
     arm = load_arm(file)
-    assert [(drive.encoder_board, drive.encoder_channel) for drive in arm.drives] == [
-        (0, 0),
-        (-1, -1),
-        (0, 1),
-    ]
+    assert [(drive.encoder_board, drive.encoder_channel) for drive in arm.drives] == [(0, 0), (-1, -1), (0, 1)]
     assert [drive.motor_node for drive in arm.drives] == [1, -1, 3]
 
 
@@ -98,17 +92,28 @@ def test_the_lengths_are_where_the_joints_are(tmp_path: Path) -> None:
     options = ("--axes", "zyy", "--lengths", "0.1", "0.4", "0.35", "--convention", "modified", "--yes")
     _, file = new(tmp_path, *options)
     arm = load_arm(file)
-    tips = ForwardKinematics(arm).tips(
-        np.array([[0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2]])
-    )
+    tips = ForwardKinematics(arm).tips(np.array([[0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2]]))
     assert np.allclose(tips, [[0, 0, 0.85], [0.75, 0, 0.1], [0.35, 0, 0.5]], atol=1e-12)
 
 
 def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lines = ["nine", "4", "zyyz", "100 300 250 50", "0.1 0.3 0.25 0.05", "vesk", "reference", "100", "1024",
-             "no", "/dev/a /dev/a", "/dev/a /dev/b", "slcan:/dev/ttyS1"]  # fmt: skip
+    lines = [
+        "nine",
+        "4",
+        "zyyz",
+        "100 300 250 50",
+        "0.1 0.3 0.25 0.05",
+        "vesk",
+        "reference",
+        "100",
+        "1024",
+        "no",
+        "/dev/a /dev/a",
+        "/dev/a /dev/b",
+        "slcan:/dev/ttyS1",
+    ]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines) + "\n"))
     status, file = new(tmp_path)
     said = capsys.readouterr().out
@@ -144,10 +149,7 @@ def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
         (("--joints", "2", "--boards", "odrive", "reference"), "no odrive beside reference motor boards"),
         (("--joints", "2", "--boards", "vesc", "--ports", "/dev/a"), "omit the option that says /dev/a"),
         (("--joints", "2", "--boards", "feetech", "--can", "x:y"), "omit the option that says x:y"),
-        (
-            ("--joints", "3", "--boards", "roboclaw", "--ports", "/dev/a"),
-            "2 different serial ports, of roboclaw1",
-        ),
+        (("--joints", "3", "--boards", "roboclaw", "--ports", "/dev/a"), "2 different serial ports, of roboclaw1"),
         (("--joints", "3", "--home", "maybe"), "expected yes or no"),
         (("--joints", "3", "--name", "../up"), "name: expected a name of 1 to 64"),
         (("--tip", "hand"), "--from-urdf or --from-mjcf"),
@@ -196,9 +198,7 @@ def test_a_hanging_arm_has_no_floor_and_says_so(tmp_path: Path, capsys: pytest.C
     assert load_arm(tmp_path / "h.toml").gravity_m_s2 == (0.0, 0.0, 9.81)
 
 
-def test_a_speed_that_no_placeholder_motor_reaches_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_speed_that_no_placeholder_motor_reaches_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     strong = 'effort="300" velocity="10"'
     text = export_text(RIGHT, "urdf")
     text = re.sub(r'effort="[^"]*" velocity="[^"]*"', strong, text)
@@ -216,17 +216,13 @@ def test_ports_that_keep_their_names_are_suggested_first() -> None:
     assert usual_ports(1, []) == ("/dev/ttyACM0",)
 
 
-def test_a_model_whose_joints_do_not_move_its_tip_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_whose_joints_do_not_move_its_tip_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     joints = "".join(
         f'<joint name="{parent}{child}" type="continuous"><origin xyz="0 0 0.1"/><parent link="{parent}"/>'
         f'<child link="{child}"/><axis xyz="0 0 1"/></joint>'
         for parent, child in ("ab", "bc")
     )
-    (tmp_path / "spin.urdf").write_text(
-        f'<robot name="spin"><link name="a"/><link name="b"/><link name="c"/>{joints}</robot>'
-    )
+    (tmp_path / "spin.urdf").write_text(f'<robot name="spin"><link name="a"/><link name="b"/><link name="c"/>{joints}</robot>')
     out = tmp_path / "arm.toml"
     assert main(["arm", "--from-urdf", str(tmp_path / "spin.urdf"), "--out", str(out)]) == 2
     assert "no joint moves its tip" in capsys.readouterr().err
@@ -253,9 +249,7 @@ def test_an_arm_of_smart_servos_has_those_of_a_data_sheet_and_moves_on_the_mock(
 
 
 @pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
-def test_a_model_without_masses_makes_an_arm_of_smart_servos_whose_rotors_nobody_knows(
-    kind: str, tmp_path: Path
-) -> None:
+def test_a_model_without_masses_makes_an_arm_of_smart_servos_whose_rotors_nobody_knows(kind: str, tmp_path: Path) -> None:
     bare = re.sub("<inertial>.*?</inertial>", "", chain([(-1.0, 1.0)] * 3, 2.0, 0.1))
     (tmp_path / "bare.urdf").write_text(bare)
     status, file = new(tmp_path, "--from-urdf", str(tmp_path / "bare.urdf"), "--boards", kind, "--yes")
@@ -286,14 +280,10 @@ def test_whatever_ranges_a_model_has_what_new_writes_is_read(kind: str, tmp_path
         ranges: list[tuple[float, float] | None] = []
         for _ in range(int(random.integers(2, 8))):
             lower = float(random.uniform(-7.0, 1.0))
-            ranges.append(
-                None if random.random() < 0.2 else (lower, lower + float(10.0 ** random.uniform(-2.3, 1.0)))
-            )
+            ranges.append(None if random.random() < 0.2 else (lower, lower + float(10.0 ** random.uniform(-2.3, 1.0))))
         model, kg = tmp_path / f"{number}.urdf", float(10.0 ** random.uniform(-2.0, 0.0))
         model.write_text(chain(ranges, float(10.0 ** random.uniform(0.0, 2.0)), kg))
-        status, file = new(
-            tmp_path, "--from-urdf", str(model), "--boards", kind, "--yes", name=f"{number}.toml"
-        )
+        status, file = new(tmp_path, "--from-urdf", str(model), "--boards", kind, "--yes", name=f"{number}.toml")
         assert status == 0
         arm = load_arm(file)
         for drive, limits in zip(arm.drives, ranges, strict=True):
@@ -323,9 +313,7 @@ def test_a_message_about_a_model_names_its_element_and_not_the_file_that_was_not
     model.write_text(re.sub(r'<mass value="([^"]+)"', lambda m: f'<mass value="{1e4 * float(m[1])}"', text))
     assert main(["arm", "--from-urdf", str(model), "--out", str(tmp_path / "arm.toml")]) == 2
     said = capsys.readouterr().err
-    assert re.search(
-        r"heavy\.urdf, line \d+, link \w+: mass_kg of \[\[link\]\] \d: .* grams.* give --as-given", said
-    )
+    assert re.search(r"heavy\.urdf, line \d+, link \w+: mass_kg of \[\[link\]\] \d: .* grams.* give --as-given", said)
     assert "arm.toml," not in said
     assert not (tmp_path / "arm.toml").exists()
     assert main(["arm", "--from-urdf", str(model), "--as-given", "--out", str(tmp_path / "arm.toml")]) == 0
@@ -348,8 +336,6 @@ def test_what_it_has_chosen_itself_is_called_a_placeholder_until_the_word_is_tak
     assert main(["arm", str(file)]) == 0
     assert "masses and motors: PLACEHOLDERS" in capsys.readouterr().out
     text = file.read_text(encoding="utf-8")
-    file.write_text(
-        re.sub("^placeholders.*$", "placeholders = []", text, flags=re.MULTILINE), encoding="utf-8"
-    )
+    file.write_text(re.sub("^placeholders.*$", "placeholders = []", text, flags=re.MULTILINE), encoding="utf-8")
     assert main(["arm", str(file)]) == 0
     assert "PLACEHOLDERS" not in capsys.readouterr().out

@@ -52,23 +52,14 @@ def files(tmp_path: Path, nobody_below: None) -> Path:
 def session(files: Path, script: str, *options: str) -> int:
     """One run of the command with the answers of a script."""
     (files / "script.txt").write_text(script, encoding="utf-8")
-    given = [
-        "--arm",
-        str(files / "arm.toml"),
-        "--out",
-        str(files / "s"),
-        "--replay",
-        str(files / "script.txt"),
-    ]
+    given = ["--arm", str(files / "arm.toml"), "--out", str(files / "s"), "--replay", str(files / "script.txt")]
     return main(["session", *given, *options])
 
 
 WANTED = ("--setups", "normal,roll", "--points", "1,3", "--free", "2", "--camera", "--mock")
 
 
-def test_a_session_by_script_is_interrupted_resumed_and_calibrates(
-    files: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_session_by_script_is_interrupted_resumed_and_calibrates(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also with --approaches 2; redo, skip, bad and a note on the way; the end is a calibration that is right."""
     first = "# set up\nauto 3\nredo\nnote seated twice\nboard\nskip roll 1 2\n\nauto 1\nbad\nquit\n"
     options = (*WANTED, "--approaches", "2", "--payload", "0.2", "--scenario", str(files / "quick.toml"))
@@ -110,9 +101,7 @@ def test_a_session_by_script_is_interrupted_resumed_and_calibrates(
 
 
 @pytest.mark.nightly
-def test_a_board_that_the_camera_measures_is_found_where_it_was_hidden(
-    files: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_board_that_the_camera_measures_is_found_where_it_was_hidden(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--setups", "normal", "--points", "1-6", "--board", "measured", "--camera", "--mock")
     assert session(files, "auto\n", *options, "--scenario", str(files / "quick.toml")) == 0
     said = capsys.readouterr().out
@@ -122,14 +111,7 @@ def test_a_board_that_the_camera_measures_is_found_where_it_was_hidden(
     assert len(entry["residual_m"]) == 6
     shift_m = np.subtract(entry["origin_m"], (0.5, 0.0, 0.0))
     assert 2e-3 < np.linalg.norm(shift_m) < 0.04, "it does not stand where the file says"
-    given = [
-        "--arm",
-        str(files / "arm.toml"),
-        "--markers",
-        str(files / "s" / "markers.csv"),
-        "--out",
-        str(files / "r"),
-    ]
+    given = ["--arm", str(files / "arm.toml"), "--markers", str(files / "s" / "markers.csv"), "--out", str(files / "r")]
     capsys.readouterr()
     assert main(["register", *given, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -153,10 +135,7 @@ def refused(files: Path, capsys: pytest.CaptureFixture[str], *options: str) -> s
     [
         (("--points", "1,9"), "the table has no cavity 9; it has 1, 2"),
         (("--points", "4-1"), "expected an ascending range, got 4-1"),
-        (
-            ("--setups", "tilted"),
-            'expected one of normal, roll, pitch, roll-, pitch-, roll+pitch, got "tilted"',
-        ),
+        (("--setups", "tilted"), 'expected one of normal, roll, pitch, roll-, pitch-, roll+pitch, got "tilted"'),
         (("--setups", ""), "the session has no points"),
         (("--repeats", "0"), "--repeats: expected 1 to 100, got 0"),
         (("--payload", "-1"), "expected 0 to 100 kg"),
@@ -171,16 +150,12 @@ def refused(files: Path, capsys: pytest.CaptureFixture[str], *options: str) -> s
         (("--socket", "/nowhere/s"), "no runtime answers at /nowhere/s"),
     ],
 )
-def test_wrong_input_is_one_message(
-    files: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], said: str
-) -> None:
+def test_wrong_input_is_one_message(files: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], said: str) -> None:
     assert said in refused(files, capsys, *options)
     assert not (files / "s").exists(), "nothing is left behind"
 
 
-def test_a_session_is_not_resumed_with_another_arm_plan_or_kind_of_arm(
-    files: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_session_is_not_resumed_with_another_arm_plan_or_kind_of_arm(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wanted = ("--points", "1,2", "--setups", "normal")
     assert session(files, "quit\n", *wanted, "--mock", "--scenario", str(files / "quick.toml")) == 0
     assert "normal 3 is new" in refused(files, capsys, "--points", "1-3", "--setups", "normal", "--mock")
@@ -194,38 +169,20 @@ def test_a_session_is_not_resumed_with_another_arm_plan_or_kind_of_arm(
     assert "this session began with arm 'right'" in refused(files, capsys, *wanted, "--mock")
 
 
-def test_a_plan_file_says_which_cavities_and_free_poses(
-    files: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_file_says_which_cavities_and_free_poses(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = files / "plan.csv"
-    plan.write_text(
-        "setup,point,repeat,q1_rad,q2_rad,q3_rad\nroll-,2,1,,,\nfree,a,1,0.1,-0.5,0.4\nroll-,5,2,0.05,-1.1,0.2\n"
-    )
-    assert (
-        session(
-            files,
-            "quit\n",
-            "--plan",
-            str(plan),
-            "--camera",
-            "--mock",
-            "--scenario",
-            str(files / "quick.toml"),
-        )
-        == 0
-    )
+    plan.write_text("setup,point,repeat,q1_rad,q2_rad,q3_rad\nroll-,2,1,,,\nfree,a,1,0.1,-0.5,0.4\nroll-,5,2,0.05,-1.1,0.2\n")
+    assert session(files, "quit\n", "--plan", str(plan), "--camera", "--mock", "--scenario", str(files / "quick.toml")) == 0
     targets = json.loads((files / "s" / "session.json").read_text())["targets"]
     assert [(t["setup"], t["point"], t["repeat"], t.get("q_rad")) for t in targets] == [
-        ("roll-", "2", 1, None), ("free", "a", 1, [0.1, -0.5, 0.4]), ("roll-", "5", 2, [0.05, -1.1, 0.2]),
-    ]  # fmt: skip
+        ("roll-", "2", 1, None),
+        ("free", "a", 1, [0.1, -0.5, 0.4]),
+        ("roll-", "5", 2, [0.05, -1.1, 0.2]),
+    ]
     plan.write_text("setup,point\nfree,a\n")
-    assert "line 2: a free pose needs q1_rad to q3_rad" in refused(
-        files, capsys, "--plan", str(plan), "--camera"
-    )
+    assert "line 2: a free pose needs q1_rad to q3_rad" in refused(files, capsys, "--plan", str(plan), "--camera")
     plan.write_text("setup,point,q1_rad,q2_rad,q3_rad\nfree,a,9,0,0\n")
-    assert "line 2: joint 1 at 9 rad is outside its range" in refused(
-        files, capsys, "--plan", str(plan), "--camera"
-    )
+    assert "line 2: joint 1 at 9 rad is outside its range" in refused(files, capsys, "--plan", str(plan), "--camera")
 
 
 def test_a_session_of_pictures_names_each_and_records_angles_alone_and_is_resumed(

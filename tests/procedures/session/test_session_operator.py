@@ -69,19 +69,7 @@ def test_every_command_is_understood(line: str, meant: object) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "yes",
-        "jog",
-        "jog z",
-        "jog z much",
-        "jog z nan",
-        "note",
-        "redo a b c d",
-        "redo a b zero",
-        "auto -1",
-        "quit now",
-        'bad "7',
-    ],
+    ["yes", "jog", "jog z", "jog z much", "jog z nan", "note", "redo a b c d", "redo a b zero", "auto -1", "quit now", 'bad "7'],
 )
 def test_what_is_no_command_is_refused_and_does_nothing(line: str) -> None:
     with pytest.raises(BadCommand):
@@ -107,20 +95,14 @@ def test_the_board_is_drawn_with_what_became_of_every_cavity() -> None:
 
 
 def test_a_cavity_with_some_repeats_done_is_drawn_so() -> None:
-    state = SessionState.begun(board_targets(["normal"], ["1", "9"], repeats=2)).marked(
-        ("normal", "1", 1), Mark.DONE
-    )
+    state = SessionState.begun(board_targets(["normal"], ["1", "9"], repeats=2)).marked(("normal", "1", 1), Mark.DONE)
     assert "+" in "".join(board_text(state, CAVITIES, "normal", None).splitlines()[:-1])
     assert "no cavities" in board_text(state, CAVITIES, "roll", None)
 
 
 def test_the_status_counts_and_names_what_is_not_done() -> None:
     state = SessionState.begun((*board_targets(["roll"], ["1", "2", "3"], 2), *free_targets({"f1": (0.0,)})))
-    for key, mark in (
-        (("roll", "1", 1), Mark.DONE),
-        (("roll", "2", 2), Mark.BAD),
-        (("roll", "3", 1), Mark.SKIPPED),
-    ):
+    for key, mark in ((("roll", "1", 1), Mark.DONE), (("roll", "2", 2), Mark.BAD), (("roll", "3", 1), Mark.SKIPPED)):
         state = state.marked(key, mark)
     assert status_text(state) == (
         "  setup roll: 3 left, 1 done, 1 skipped, 1 bad (skipped: 3; bad: 2 (repeat 2))\n  free poses: 1 left\n"
@@ -149,17 +131,14 @@ def test_poses_around_one_that_a_webcam_sees_show_it_the_board_too() -> None:
     seen_rad = (0.55, -0.95, 1.24, 0.03, 1.38)
     assert _shows_board(pictured, seen_rad)
     shown = [
-        sum(_shows_board(pictured, pose) for pose in chosen_free_poses(arm, 70, around).values())
-        for around in (None, seen_rad)
+        sum(_shows_board(pictured, pose) for pose in chosen_free_poses(arm, 70, around).values()) for around in (None, seen_rad)
     ]
     assert shown[0] < 12
     assert shown[1] > 40
 
 
 @pytest.mark.parametrize(("seen", "said"), [("0.5 0.1", "expected 5 joint angles"), ("0 0 0 0 9", "--seen")])
-def test_a_seen_pose_that_cannot_be_is_refused(
-    seen: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_seen_pose_that_cannot_be_is_refused(seen: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = f"session --arm so101 --mock --free 5 --pictures --seen {seen} --out {tmp_path / 's'}"
     assert main(line.split()) == 2
     assert said in capsys.readouterr().err
@@ -194,9 +173,7 @@ def test_free_poses_of_a_file_are_read_strictly(tmp_path: Path) -> None:
             read_free_poses(path, 2)
 
 
-def talked(
-    tmp_path: Path, lines: list[str], may_auto: bool, surprise: float = 1.0
-) -> tuple[list[SessionCommand], list[str]]:
+def talked(tmp_path: Path, lines: list[str], may_auto: bool, surprise: float = 1.0) -> tuple[list[SessionCommand], list[str]]:
     """What an operator's lines answer to three points and the end, and what was said."""
     plan = SessionPlan("right", "00", 3, board_targets(["normal"], ["1", "2", "3"]))
     answers: list[SessionCommand] = []
@@ -206,9 +183,7 @@ def talked(
         for target in plan.targets:
             answers.append((yield Ask(SessionQuestion.NEXT, target)))
             record = Record(*target.key, (0.1,) * 3, (0.0,) * 3, (0,) * 3, (0.0,) * 3, 0.0, 0.0, None)
-            yield Recorded(
-                record, RecordVerdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0)
-            )
+            yield Recorded(record, RecordVerdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0))
         yield Message("all is well")
         answers.append((yield Ask(SessionQuestion.DONE, None)))
 
@@ -225,9 +200,7 @@ def test_the_operator_is_asked_told_and_obeyed(tmp_path: Path) -> None:
     assert said[1] == "! unknown command: 'what'; `help` lists the commands"
     assert said[2] == "! auto: only a session with a mock arm can answer automatically"
     assert said[3] == HELP
-    assert (
-        "normal 1 recorded; model error 17.32 mm, 4.00 mm from the prediction of the earlier points" in said
-    )
+    assert "normal 1 recorded; model error 17.32 mm, 4.00 mm from the prediction of the earlier points" in said
     assert "all is well" in said
 
 
@@ -236,9 +209,4 @@ def test_going_on_by_itself_ends_where_something_looks_wrong(tmp_path: Path) -> 
     assert [command.do for command in answers] == [Do.GO, Do.GO, Do.QUIT, Do.GO]
     assert any(text.startswith("! normal 2 recorded") and "7 standard deviations" in text for text in said)
     assert [c.do for c in talked(tmp_path / "b", ["auto"], may_auto=True)[0]] == [Do.GO] * 4
-    assert [c.do for c in talked(tmp_path / "c", ["auto 2"], may_auto=True)[0]] == [
-        Do.GO,
-        Do.GO,
-        Do.QUIT,
-        Do.GO,
-    ]
+    assert [c.do for c in talked(tmp_path / "c", ["auto 2"], may_auto=True)[0]] == [Do.GO, Do.GO, Do.QUIT, Do.GO]

@@ -50,18 +50,14 @@ class Seen(ScriptedArm):
         return SeenTip((x, y, z), seen.sd_m, (0.6, 0.0, 0.8, 0.0))
 
 
-def test_full_poses_are_recorded_in_the_frame_of_the_base_body(
-    tmp_path: Path,
-) -> None:
+def test_full_poses_are_recorded_in_the_frame_of_the_base_body(tmp_path: Path) -> None:
     poses = chosen_free_poses(RIGHT, 7)
     plan = SessionPlan("right", "x", 3, free_targets(poses), "unknown", has_camera=True, pose_frame="stream")
     arm = Seen()
     verdicts = []
     for begins in (True, False):
         with SessionFolder(tmp_path, plan if begins else None) as folder:
-            station = Station(
-                arm, ArmGeometry(RIGHT), Boards(RIGHT, folder.plan), ResidualWatch(RIGHT), camera=arm
-            )
+            station = Station(arm, ArmGeometry(RIGHT), Boards(RIGHT, folder.plan), ResidualWatch(RIGHT), camera=arm)
             talk = conduct(folder, station)
             saying = next(talk)
             while len(verdicts) < (4 if begins else 7):

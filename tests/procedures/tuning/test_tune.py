@@ -49,16 +49,12 @@ def answered(noise_rad: float = 0.0, bend: float = 0.0, passes: int = 4) -> Meas
 def test_a_board_that_closes_the_position_loop_itself_is_not_tuned() -> None:
     arm = on_boards(RIGHT, "mixed")
     assert procedure.tunable(arm) == (1, 2)
-    with (
-        SteppedRig(arm, scenario()) as rig,
-        pytest.raises(NotTuned, match="joint 3 closes the position loop"),
-    ):
+    with SteppedRig(arm, scenario()) as rig, pytest.raises(NotTuned, match="joint 3 closes the position loop"):
         tune(wired_to(arm, rig), rig.clock, TuningOptions((1, 3)), lambda what, share: None)
 
 
 @pytest.mark.parametrize(
-    ("reached", "kept"),
-    [((20.0, 60.0), (2.0, 10.0)), ((20.0, 50.0), (2.0, 0.0)), ((7.0, 60.0), (0.0, 0.0))],
+    ("reached", "kept"), [((20.0, 60.0), (2.0, 10.0)), ((20.0, 50.0), (2.0, 0.0)), ((7.0, 60.0), (0.0, 0.0))]
 )
 def test_where_delay_leaves_no_reserve_of_phase_that_of_gain_is_kept(
     reached: tuple[float, float], kept: tuple[float, float]
@@ -107,23 +103,12 @@ def test_a_poor_response_is_refused_with_what_to_do() -> None:
         usable(answered(noise_rad=3e-3), 0.9)
 
 
-@pytest.mark.parametrize(
-    ("side", "bend", "is_tuned"), [("motor", 1.0, True), ("joint", 0.0, True), ("joint", 1.0, False)]
-)
-def test_a_joint_whose_encoder_is_behind_play_is_not_tuned_by_its_response(
-    side: str, bend: float, is_tuned: bool
-) -> None:
+@pytest.mark.parametrize(("side", "bend", "is_tuned"), [("motor", 1.0, True), ("joint", 0.0, True), ("joint", 1.0, False)])
+def test_a_joint_whose_encoder_is_behind_play_is_not_tuned_by_its_response(side: str, bend: float, is_tuned: bool) -> None:
     arm = with_drive(RIGHT, 1, encoder_on=side)
-    good, before = (
-        usable(answered(bend=bend), 0.9),
-        cast(Any, SimpleNamespace(gains=gains_of(arm, 1))),
-    )
+    good, before = (usable(answered(bend=bend), 0.9), cast(Any, SimpleNamespace(gains=gains_of(arm, 1))))
     assert (good.distortion > procedure.NOT_LINEAR) is (bend > 0.0)
-    context = (
-        nullcontext()
-        if is_tuned
-        else pytest.raises(NotTuned, match="behind the gear: it has play or friction")
-    )
+    context = nullcontext() if is_tuned else pytest.raises(NotTuned, match="behind the gear: it has play or friction")
     with context:
         procedure._designed(arm, 1, before, good, TuningOptions((1,)), (0.0, 0.15, 0.75))
 
@@ -156,9 +141,7 @@ def test_a_joint_is_tuned_and_what_was_designed_is_what_is_there(tmp_path: Path)
     assert tuned.after.step.settling_s < tuned.before.step.settling_s
     pids = [drive.pid for drive in result.arm.drives]
     assert pids[:2] == [DrivePid(), DrivePid()]
-    assert (pids[2].kp, pids[2].ki, pids[2].kd) == (
-        tuned.design.gains.kp, tuned.design.gains.ki, tuned.design.gains.kd,
-    )  # fmt: skip
+    assert (pids[2].kp, pids[2].ki, pids[2].kd) == (tuned.design.gains.kp, tuned.design.gains.ki, tuned.design.gains.kd)
     write_report(result, tmp_path / "page.html", "a test")
     page = (tmp_path / "page.html").read_text("utf-8")
     assert page.count("<svg") == 4
@@ -202,9 +185,7 @@ def test_a_board_that_runs_the_pid_is_measured_in_voltage_mode_and_keeps_its_own
         (["--scenario", "nowhere"], "there is no such file"),
     ],
 )
-def test_wrong_input_is_one_message(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_input_is_one_message(options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["tune", "--mock", "--out", str(tmp_path / "new.toml"), *options]) == 2
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -87,9 +87,7 @@ def measured(tmp_path: Path) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures take seconds, and another test has them."""
-    monkeypatch.setattr(
-        procedure, "write_verification_report", lambda path, shown: path.write_text("", "utf-8")
-    )
+    monkeypatch.setattr(procedure, "write_verification_report", lambda path, shown: path.write_text("", "utf-8"))
 
 
 def test_recorded_points_show_that_the_calibrated_arm_is_better(
@@ -133,9 +131,7 @@ def test_the_frame_of_the_tips_is_placed_or_taken_for_the_bases_as_calibrate_is_
     def mean_m(out: str, arm: Path, *more: str) -> float:
         given = ["--arm", str(arm), "--against", "right", "--points", str(tmp_path / "moved.csv"), *more]
         assert main(["verify", *given, "--out", str(tmp_path / out)]) in (0, 1)
-        return float(
-            json.loads((tmp_path / out / "verify.json").read_text())["by_setup"]["free"]["after"]["mean_m"]
-        )
+        return float(json.loads((tmp_path / out / "verify.json").read_text())["by_setup"]["free"]["after"]["mean_m"])
 
     assert mean_m("told", calibrated) == pytest.approx(0.0374, abs=0.001)  # by the table, where it was
     assert mean_m("free", calibrated, "--free", "base") < 0.0004
@@ -162,15 +158,7 @@ def test_a_folder_with_something_in_it_is_left_alone(
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.html").write_text("first")
-    arguments = [
-        "verify",
-        "--arm",
-        str(calibrated),
-        "--points",
-        str(measured),
-        "--out",
-        str(tmp_path / "out"),
-    ]
+    arguments = ["verify", "--arm", str(calibrated), "--points", str(measured), "--out", str(tmp_path / "out")]
     assert main(arguments) == 2
     assert "out: is not empty, and nothing is overwritten: choose another folder" in capsys.readouterr().err
     assert (tmp_path / "out" / "report.html").read_text() == "first"
@@ -185,10 +173,7 @@ def test_the_wrong_input_is_named_and_nothing_is_written(
     wrong = (
         (["--arm", "right", "--points", str(measured)], "has no [calibration]"),
         (["--arm", str(calibrated), "--points", str(tmp_path / "none.csv")], "cannot be read"),
-        (
-            ["--arm", str(calibrated), "--against", str(panda), "--mock"],
-            "7 joints, 8 links and modified DH: not the same arm",
-        ),
+        (["--arm", str(calibrated), "--against", str(panda), "--mock"], "7 joints, 8 links and modified DH: not the same arm"),
         (["--arm", str(calibrated), "--mock", "--repeats", "0"], "--repeats: expected 1 or more, got 0"),
         (["--arm", str(calibrated), "--mock", "--height", "0.9"], "verification point normal v1"),
         (["--arm", str(calibrated), "--mock", "--scenario", "nowhere"], "scenario nowhere"),
@@ -212,9 +197,7 @@ def test_on_the_mock_arm_both_models_are_driven_and_measured(
         f'[[effect]]\neffect = "link_geometry"\nparameters = {{ {hidden} }}\n'
     )
     monkeypatch.setattr(verify_places, "POINTS", 2)
-    monkeypatch.setattr(
-        verify_command, "ways", lambda *where: ways(*where)[1:]
-    )  # the line alone: the circle takes seconds
+    monkeypatch.setattr(verify_command, "ways", lambda *where: ways(*where)[1:])  # the line alone: the circle takes seconds
     out = tmp_path / "out"
     arguments = ["--arm", str(calibrated), "--mock", "--scenario", str(scenario), "--setups", "roll"]
     assert main(["verify", *arguments, "--repeats", "2", "--path-speed", "0.4", "--out", str(out)]) == 0
@@ -295,10 +278,7 @@ def test_points_are_reached_by_either_model_on_one_branch() -> None:
         np.testing.assert_allclose(
             model.tips(np.array([pose.q_rad for pose in poses])), [place.tip_m for place in wanted], atol=1e-9
         )
-    both = [
-        np.array([pose.q_rad for pose in poses_at(wanted, model, NEAR)])
-        for model in (PAIR.nominal, PAIR.calibrated)
-    ]
+    both = [np.array([pose.q_rad for pose in poses_at(wanted, model, NEAR)]) for model in (PAIR.nominal, PAIR.calibrated)]
     assert abs(both[0] - both[1]).max() < 0.1
 
 
@@ -349,16 +329,12 @@ def recording(path: Path, delay_s: float, offset_m: float) -> np.ndarray:
     sink = FileSink(path, layout.header({"arm": "right"}))
     times = np.arange(0.0, 4.0, 0.002)
     q = np.column_stack([0.3 * np.sin(times), -0.6 + 0.2 * np.cos(1.3 * times), 0.1 * times])
-    late = np.array(
-        [np.interp(times - delay_s, times, column) for column in ForwardKinematics(RIGHT).tips(q).T]
-    ).T
+    late = np.array([np.interp(times - delay_s, times, column) for column in ForwardKinematics(RIGHT).tips(q).T]).T
     for k, time_s in enumerate(times):
         row = dict.fromkeys(layout.names, 0)
         seen = late[k] + offset_m if k % 5 == 0 else [np.nan] * 3
         row |= {"t_s": time_s, "cycle": k, "run": 1 if time_s < 2.0 else 2, "mode": MOVING}
-        row |= {f"q{j + 1}_set_rad": q[k, j] for j in range(3)} | dict(
-            zip(("x_m", "y_m", "z_m"), seen, strict=True)
-        )
+        row |= {f"q{j + 1}_set_rad": q[k, j] for j in range(3)} | dict(zip(("x_m", "y_m", "z_m"), seen, strict=True))
         sink.write(layout.packing.pack(*row.values()))
     sink.close()
     return ForwardKinematics(RIGHT).tips(q[times >= 2.0])

@@ -17,14 +17,9 @@ NOTHING, OFF = Truth(()), Truth(ONE.hidden, is_listed=False)
 
 
 def said(
-    *named: EffectName,
-    sets: tuple[tuple[EffectName, ...], ...] = (),
-    unknown: bool = False,
-    value: float = 0.0042,
+    *named: EffectName, sets: tuple[tuple[EffectName, ...], ...] = (), unknown: bool = False, value: float = 0.0042
 ) -> GapFinding:
-    effects = tuple(
-        NamedEffect(n, {"width_rad": (value, 1e-4), "stiffness_Nm_rad": (500.0, 5.0)}, 1.0) for n in named
-    )
+    effects = tuple(NamedEffect(n, {"width_rad": (value, 1e-4), "stiffness_Nm_rad": (500.0, 5.0)}, 1.0) for n in named)
     what = Unknown("joint 1", None, 0.0) if unknown else None
     return GapFinding("right", (), {}, 5.0, 1.05, {}, {}, effects, sets, what)
 

@@ -148,7 +148,4 @@ def test_every_effect_of_the_cases_is_one_of_the_list_and_has_a_joint_to_be_on()
         for effect in table:
             assert effect in EFFECTS
             assert joints_of(effect, level, ARM)  # type: ignore[arg-type]
-    assert joints_of("joint_compliance", "static", ARM) == (
-        2,
-        3,
-    )  # joint 1 stands upright: gravity does not bend it
+    assert joints_of("joint_compliance", "static", ARM) == (2, 3)  # joint 1 stands upright: gravity does not bend it

@@ -34,9 +34,7 @@ def servo(servo_log: Log) -> DynamicOutcome:
 def test_a_real_servos_coulomb_friction_is_named(servo: DynamicOutcome) -> None:
     effect = next(e for e in servo.finding.effects if e.name == COULOMB)
     torque_Nm, sd_Nm = effect.parameters["torque_Nm"]
-    assert torque_Nm == pytest.approx(
-        0.07, rel=0.3
-    )  # all sixteen published runs give 0.075, these twelve 0.062
+    assert torque_Nm == pytest.approx(0.07, rel=0.3)  # all sixteen published runs give 0.075, these twelve 0.062
     assert sd_Nm < 0.2 * torque_Nm
     assert servo.finding.gap_after < 0.9 * servo.finding.gap_before  # on runs that nothing was fitted to
 

@@ -9,9 +9,7 @@ from calib.gap.workflow import find_gap
 from control.model.description import load_arm
 from hil_mocks.plant.effects import EffectEntry
 
-pytestmark = (
-    pytest.mark.nightly
-)  # a minute; tests/calib/gap/posterior/test_told.py stands for it at each change
+pytestmark = pytest.mark.nightly  # a minute; tests/calib/gap/posterior/test_told.py stands for it at each change
 SEED = 8000  # an eccentricity beside a spring on joint 2, and a belt that is not quite straight
 TURNED = EffectName("encoder_eccentricity", 2)
 
@@ -21,11 +19,7 @@ def found() -> tuple[tuple[EffectEntry, ...], GapOutcome, set[EffectName]]:
     """What is hidden, the outcome of both, and the names that poses alone leave open."""
     known, hidden, points, log = recorded(load_arm("right"), SEED)
     alone = find_gap(known, points=points).finding
-    return (
-        hidden,
-        find_gap(known, points=points, log=log),
-        {name for names in alone.ambiguous for name in names},
-    )
+    return (hidden, find_gap(known, points=points, log=log), {name for names in alone.ambiguous for name in names})
 
 
 def test_a_set_that_poses_leave_open_is_settled_by_the_runs(found) -> None:

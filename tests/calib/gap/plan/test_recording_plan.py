@@ -9,17 +9,7 @@ import pytest
 
 from calib.errors import CalibrationError
 from calib.gap.plan.foresight import as_recorded, in_words
-from calib.gap.plan.motions import (
-    CLEARANCE_m,
-    MotionLimits,
-    clear,
-    collision_free_box,
-    demand,
-    multisine,
-    poses_of,
-    ramps,
-    shake,
-)
+from calib.gap.plan.motions import CLEARANCE_m, MotionLimits, clear, collision_free_box, demand, multisine, poses_of, ramps, shake
 from calib.gap.plan.plan import REFERENCE, APPROACH_rad, PlanRequest, recording_plan
 from calib.gap.poses.recordings import split
 from control.dynamics.static_pose import gravity_Nm
@@ -125,12 +115,8 @@ def test_poses_come_shuffled_with_the_reference_in_between_and_the_load_last(qui
     assert set(loads) == {0.0, 0.5}
 
 
-@pytest.mark.parametrize(
-    "asked", [QUICK, PlanRequest(has_motions=False), PlanRequest(has_motions=False, minutes=1.6)]
-)
-def test_each_side_of_each_block_is_a_recording_and_a_fifth_of_all_is_kept_apart_with_every_side(
-    asked,
-) -> None:
+@pytest.mark.parametrize("asked", [QUICK, PlanRequest(has_motions=False), PlanRequest(has_motions=False, minutes=1.6)])
+def test_each_side_of_each_block_is_a_recording_and_a_fifth_of_all_is_kept_apart_with_every_side(asked) -> None:
     plan = recording_plan(RIGHT, asked)
     points = as_recorded(RIGHT, plan.visits, plan.duration_s)
     parts = split(points)
@@ -187,25 +173,15 @@ def test_the_time_that_is_given_is_used_and_not_passed() -> None:
 def test_what_a_plan_would_make_nameable_is_said_before_anything_moves(quick) -> None:
     poses_only = dataclasses.replace(quick, steps=quick.visits)
     said = " ".join(in_words(RIGHT, poses_only, 0.5))
-    for name in (
-        "backlash on joint 2",
-        "joint_compliance on joint 2",
-        "encoder_scale on joint 1",
-        "belt_coupling",
-    ):
+    for name in ("backlash on joint 2", "joint_compliance on joint 2", "encoder_scale on joint 1", "belt_coupling"):
         assert name in said
-    few = dataclasses.replace(
-        quick, steps=tuple(v for v in quick.visits if v.point == REFERENCE or v.point < "a3")
-    )
+    few = dataclasses.replace(quick, steps=tuple(v for v in quick.visits if v.point == REFERENCE or v.point < "a3"))
     assert "They could not name" in " ".join(in_words(RIGHT, few, 0.0))
 
 
 def test_an_arm_without_masses_is_planned_for_all_the_same() -> None:
     bare: Arm = dataclasses.replace(
-        RIGHT,
-        links=tuple(
-            dataclasses.replace(link, mass_kg=None, com_m=None, inertia_kg_m2=None) for link in RIGHT.links
-        ),
+        RIGHT, links=tuple(dataclasses.replace(link, mass_kg=None, com_m=None, inertia_kg_m2=None) for link in RIGHT.links)
     )
     plan = recording_plan(bare, PlanRequest(has_motions=False, is_quick=True))
     assert not [visit for visit in plan.visits if visit.point.startswith("g")]

@@ -19,10 +19,16 @@ HIDDEN = [
     Hidden("payload", None, 0.3),
 ]
 FIRST = {
-    "backlash": "width_rad", "joint_compliance": "stiffness_Nm_rad", "encoder_scale": "scale",
-    "encoder_eccentricity": "amplitude_rad", "belt_coupling": "ratio", "thermal_drift": "final_rad",
-    "link_flexure": "EI_Nm2", "base_frame": "x_m", "payload": "mass_kg",
-}  # fmt: skip
+    "backlash": "width_rad",
+    "joint_compliance": "stiffness_Nm_rad",
+    "encoder_scale": "scale",
+    "encoder_eccentricity": "amplitude_rad",
+    "belt_coupling": "ratio",
+    "thermal_drift": "final_rad",
+    "link_flexure": "EI_Nm2",
+    "base_frame": "x_m",
+    "payload": "mass_kg",
+}
 
 
 def names(found) -> list[EffectName]:
@@ -55,9 +61,7 @@ def test_with_nothing_hidden_nothing_is_named(seed) -> None:
     assert found.finding.gap_after < 1.1
 
 
-@pytest.mark.parametrize(
-    "hidden", third_of([HIDDEN[0], HIDDEN[2], HIDDEN[4]]), ids=lambda one: f"{one.effect}{one.joint or ''}"
-)
+@pytest.mark.parametrize("hidden", third_of([HIDDEN[0], HIDDEN[2], HIDDEN[4]]), ids=lambda one: f"{one.effect}{one.joint or ''}")
 def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(hidden) -> None:
     found = find(ARM, case(11, (hidden,)), without=(hidden.effect,))
     assert names(found) == []
@@ -113,11 +117,7 @@ def test_another_arm_with_nothing_hidden_is_named_nothing(rig) -> None:
         [
             (Hidden("backlash", 1, 0.005), Hidden("joint_compliance", 2, 700.0)),
             (Hidden("link_flexure", 2, 100.0), Hidden("payload", None, 0.13)),  # which also bends the link
-            (
-                Hidden("belt_coupling", None, 0.012),
-                Hidden("thermal_drift", 1, 0.005, 1200.0),
-                Hidden("backlash", 2, 0.006),
-            ),
+            (Hidden("belt_coupling", None, 0.012), Hidden("thermal_drift", 1, 0.005, 1200.0), Hidden("backlash", 2, 0.006)),
         ],
         2,
     ),
@@ -130,9 +130,9 @@ def test_two_or_three_effects_at_once_are_both_found(pair) -> None:
     for one in pair:
         assert values[name_of(one)][FIRST[one.effect]][0] == pytest.approx(one.value, rel=0.12)
     loose = [one.joint for one in pair if one.effect == "backlash"]
-    unclear = np.any(
-        [resting_points(found.file, found.points).flank(joint) == 0.0 for joint in loose], axis=0
-    ) | np.zeros(len(found.points), dtype=bool)
+    unclear = np.any([resting_points(found.file, found.points).flank(joint) == 0.0 for joint in loose], axis=0) | np.zeros(
+        len(found.points), dtype=bool
+    )
     where_known = found.split.report & ~unclear
     assert where_known.sum() > 0.8 * found.split.report.sum()
     assert rms(found.stages[-1][1][where_known]) < 1.1 * found.floor.tip_m

@@ -46,9 +46,7 @@ def test_a_motor_whose_current_has_the_other_sign_is_said_and_never_written(rig:
 
 
 @pytest.mark.parametrize("seed", third_of([93_015, 93_023]))
-def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_named_or_left(
-    seed: int,
-) -> None:
+def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_named_or_left(seed: int) -> None:
     one = case("null", seed)
     found = find(one.arm, one.points).finding
     assert {effect.name.effect for effect in found.effects} <= {"link_geometry"}

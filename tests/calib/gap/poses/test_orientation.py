@@ -24,9 +24,15 @@ from tests.calib.simulated import with_rows
 
 TURN_NOISE_rad = 3e-4
 LITTLE = Design(
-    rig="six", tilts=("normal",), free=16, visits=4, has_currents=False, has_time=False, has_payload=False,
+    rig="six",
+    tilts=("normal",),
+    free=16,
+    visits=4,
+    has_currents=False,
+    has_time=False,
+    has_payload=False,
     turn_noise_rad=TURN_NOISE_rad,
-)  # fmt: skip
+)
 SIX = dataclasses.replace(RIGS["six"].arm, camera=Camera(NOISE_m, TURN_NOISE_rad))
 
 
@@ -42,9 +48,7 @@ def test_an_effect_of_a_joint_whose_axis_holds_the_tip_is_named_by_the_orientati
     expected = {"tip_m": NOISE_m, "turn_rad": TURN_NOISE_rad}
     assert found.finding.noise_floor == pytest.approx(expected, rel=1e-3)  # and what fine encoders add
     assert any("orientations count beside the tip" in sentence for sentence in in_words(found.finding))
-    assert (
-        found.finding.after_si["turn_rad"] < 1.3 * TURN_NOISE_rad < 0.5 * found.finding.before_si["turn_rad"]
-    )
+    assert found.finding.after_si["turn_rad"] < 1.3 * TURN_NOISE_rad < 0.5 * found.finding.before_si["turn_rad"]
 
 
 def test_rows_follow_joints_and_turns_of_the_last_link_as_the_problem_does() -> None:
@@ -52,17 +56,19 @@ def test_rows_follow_joints_and_turns_of_the_last_link_as_the_problem_does() -> 
     fit, lever = Fit.nominal(problem_of(SIX, points)), 0.3
     m, step = len(points), 1e-6
     one = Term(
-        Block(5, "any"), "", 2, 0, 1.0,
+        Block(5, "any"),
+        "",
+        2,
+        0,
+        1.0,
         slope_rad=np.concatenate((on_joint(np.ones(m), 4, 6), np.zeros((1, m, 6)))),
         turn_rad=np.stack((np.zeros((m, 3)), np.tile((0.0, 1.0, 0.0), (m, 1)))),
-    )  # fmt: skip
+    )
     measured = fit.measured(lever)
     moved = dataclasses.replace(points, q_rad=points.q_rad + step * one.slope_rad[0])
     near = dataclasses.replace(fit, problem=problem_of(SIX, moved))
     turned = dataclasses.replace(fit, problem=problem_of(SIX, points))
-    turned.problem.observed = dataclasses.replace(
-        turned.problem.observed, known_turn_rad=step * one.turn_rad[1]
-    )
+    turned.problem.observed = dataclasses.replace(turned.problem.observed, known_turn_rad=step * one.turn_rad[1])
     for column, other in zip(measured.moved_by(one), (near, turned), strict=True):
         slope = (measured.residual - other.measured(lever).residual) / step
         np.testing.assert_allclose(slope, column, atol=0.02)  # an error of 10 mrad turns axes by as much
@@ -105,16 +111,13 @@ def test_steps_of_encoders_are_in_the_floor_where_angles_were_read_in_whole_coun
     _, fine = designed(3102, (), LITTLE)
     fine = fine.chosen(np.repeat(np.arange(len(fine)), 2))
     counts, kinematics = 4096, ForwardKinematics(SIX)
-    drives = tuple(
-        dataclasses.replace(one, gear_ratio=1.0, encoder_counts_per_rev=counts) for one in SIX.drives
-    )
+    drives = tuple(dataclasses.replace(one, gear_ratio=1.0, encoder_counts_per_rev=counts) for one in SIX.drives)
     servos, step_rad = dataclasses.replace(SIX, camera=None, drives=drives), 2.0 * np.pi / counts
     counted = with_rows(fine, q_rad=np.round(fine.q_rad / step_rad) * step_rad)
     noise = NOISE_m * np.random.default_rng(1).normal(size=(len(fine), 3))
     moved_m = kinematics.tips(counted.q_rad) - kinematics.tips(fine.q_rad)
     of_fine, of_counted = (
-        noise_floor(servos, points, Left(noise, np.full_like(noise, np.nan))).tip_m
-        for points in (fine, counted)
+        noise_floor(servos, points, Left(noise, np.full_like(noise, np.nan))).tip_m for points in (fine, counted)
     )
     assert of_fine == pytest.approx(NOISE_m, rel=0.2)
     assert of_counted == pytest.approx(np.hypot(of_fine, np.sqrt(np.mean(moved_m**2))), rel=0.15)

@@ -158,10 +158,7 @@ def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
     points = dataclasses.replace(points, current_A=np.full_like(points.current_A, np.nan))
     bare = dataclasses.replace(ARM, drives=())
     placeholders = dataclasses.replace(
-        ARM,
-        drives=tuple(
-            dataclasses.replace(d, torque_constant_Nm_A=0.5, current_limit_A=np.inf) for d in ARM.drives
-        ),
+        ARM, drives=tuple(dataclasses.replace(d, torque_constant_Nm_A=0.5, current_limit_A=np.inf) for d in ARM.drives)
     )
     found = [find(arm, points) for arm in (bare, placeholders)]
     for one in found:
@@ -170,16 +167,10 @@ def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
     assert any("no [[drive]] of joints 1, 2, 3" in sentence for sentence in found[0].warnings)
 
 
-def test_a_frame_that_nothing_ties_to_the_arm_is_placed_wherever_it_stands_and_nothing_is_named_for_it() -> (
-    None
-):
-    arm, points = designed(
-        37, (Hidden("base_frame", None, 0.004, 0.01),), Design(rig="planar", free=30, visits=4)
-    )
+def test_a_frame_that_nothing_ties_to_the_arm_is_placed_wherever_it_stands_and_nothing_is_named_for_it() -> None:
+    arm, points = designed(37, (Hidden("base_frame", None, 0.004, 0.01),), Design(rig="planar", free=30, visits=4))
     turn = Rotation.from_rotvec((0.3, -2.0, 1.1))
-    tracked = dataclasses.replace(
-        points, tip_m=turn.apply(np.array(points.tip_m)) + np.array((3.0, -4.0, 1.0))
-    )
+    tracked = dataclasses.replace(points, tip_m=turn.apply(np.array(points.tip_m)) + np.array((3.0, -4.0, 1.0)))
     for seen in (points, tracked):
         found = find(arm, seen)
         assert names(found) == set()
@@ -190,9 +181,7 @@ def test_a_frame_that_nothing_ties_to_the_arm_is_placed_wherever_it_stands_and_n
 
 
 def test_effects_at_once_do_not_make_the_points_another_arms() -> None:
-    one = rough_case(
-        "many", 132_030
-    )  # four effects of its own; the mirrored arm would leave a tenth less of them
+    one = rough_case("many", 132_030)  # four effects of its own; the mirrored arm would leave a tenth less of them
     assert names(find(one.arm, one.points)) <= {EffectName(h.effect, h.joint) for h in one.hidden}
 
 

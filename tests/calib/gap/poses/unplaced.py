@@ -49,9 +49,15 @@ def session(boards: int, seed: int = 1, play_rad: float = 0.0, stiffness_Nm_rad:
     q = q + np.linalg.solve(jacobian, seat[:, :, None])[..., 0]
     per_A = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in ARM.drives])
     return make_points(
-        setups, names, [1] * m, q, np.full((m, 3), np.nan), np.concatenate(lasts), np.concatenate(held) / per_A,
+        setups,
+        names,
+        [1] * m,
+        q,
+        np.full((m, 3), np.nan),
+        np.concatenate(lasts),
+        np.concatenate(held) / per_A,
         8.0 * np.arange(m),
-    )  # fmt: skip
+    )
 
 
 def _placed(rng: np.random.Generator, board: int) -> np.ndarray:

@@ -19,16 +19,12 @@ ROWS = 240
 
 def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False, **more: Any) -> Term:
     slope = np.zeros((columns, 1, 1))
-    return Term(
-        key, str(key), columns - departures, departures, 1.0, slope_rad=slope, is_positive=is_positive, **more
-    )
+    return Term(key, str(key), columns - departures, departures, 1.0, slope_rad=slope, is_positive=is_positive, **more)
 
 
 def _evidence(terms, columns: np.ndarray, y: np.ndarray) -> Evidence:
     zero = np.zeros((columns.shape[1], columns.shape[1]))
-    gram = Gram(
-        columns.T @ columns, columns.T @ y, zero, np.zeros(columns.shape[1]), float(y @ y), float(len(y))
-    )
+    gram = Gram(columns.T @ columns, columns.T @ y, zero, np.zeros(columns.shape[1]), float(y @ y), float(len(y)))
     return Evidence(gram, terms, 0.03)
 
 
@@ -174,10 +170,7 @@ def test_what_acts_beside_a_name_is_not_taken_for_what_may_act_in_its_place() ->
     evidence = _evidence([_term(name) for name in names], columns, y)
     likely = (((0, 2), 0.0), ((1, 2), -2.5), ((0, 3), -2.6))  # 1 and 3, or 2 for 1, or 4 for 3
     found = [Weighed(tuple((k, 1) for k in numbers), 1.0, log) for numbers, log in likely]
-    assert {frozenset(group) for group in decide(evidence, found).ambiguous} == {
-        frozenset(names[:2]),
-        frozenset(names[2:]),
-    }
+    assert {frozenset(group) for group in decide(evidence, found).ambiguous} == {frozenset(names[:2]), frozenset(names[2:])}
 
 
 def test_a_rival_of_a_name_acts_in_its_place_and_not_beside_it() -> None:
@@ -197,10 +190,7 @@ def test_a_block_that_bends_a_law_no_more_than_real_parts_do_is_that_law(bend: f
     columns = np.column_stack((load, load, load**2))
     softness, block = EffectName("joint_compliance", 1), Block(1, "load")
     y = load + bend * load**2 + 0.01 * rng.normal(size=ROWS)
-    terms = [
-        _term(softness, is_positive=True, traits=RECORDS["joint_compliance"].traits),
-        _term(block, columns=2),
-    ]
+    terms = [_term(softness, is_positive=True, traits=RECORDS["joint_compliance"].traits), _term(block, columns=2)]
     slopes = columns[:, :1], columns[:, 1:]
     terms = [replace(one, slope_rad=own.T[:, :, None]) for one, own in zip(terms, slopes, strict=True)]
     evidence = _evidence(terms, columns, y)

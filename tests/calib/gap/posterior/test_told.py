@@ -27,9 +27,7 @@ def _term(key: EffectName | Block, **more: Any) -> Term:
 
 def _gram(columns: np.ndarray, y: np.ndarray) -> Gram:
     p = columns.shape[1]
-    return Gram(
-        columns.T @ columns, columns.T @ y, np.zeros((p, p)), np.zeros(p), float(y @ y), float(len(y))
-    )
+    return Gram(columns.T @ columns, columns.T @ y, np.zeros((p, p)), np.zeros(p), float(y @ y), float(len(y)))
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +38,7 @@ def recordings() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     one[:, 1] = one[:, 0] + 0.05 * one[:, 1]
     two[:, 3] += two[:, 2]
     truth = np.array([0.0, 0.4, 0.1])
-    return (
-        one, one @ truth + rng.normal(size=ROWS), two, two @ np.append(truth, 0.7) + rng.normal(size=ROWS)
-    )  # fmt: skip
+    return (one, one @ truth + rng.normal(size=ROWS), two, two @ np.append(truth, 0.7) + rng.normal(size=ROWS))
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +62,7 @@ def test_a_set_is_weighed_as_if_all_recordings_were_one(members, recordings, tol
     own = [(3, 2)]
     gained = whole.value([*members, *own], 1.0) - whole.value(own, 1.0)
     assert beside.value(members, 1.0) - beside.value([], 1.0) == pytest.approx(gained, abs=1e-8)
-    means, covariances = zip(
-        beside.estimate(members, 1.0), whole.estimate([*members, *own], 1.0), strict=True
-    )
+    means, covariances = zip(beside.estimate(members, 1.0), whole.estimate([*members, *own], 1.0), strict=True)
     count = len(members)
     np.testing.assert_allclose(means[0], means[1][:count], atol=1e-10)
     np.testing.assert_allclose(covariances[0], covariances[1][:count, :count], atol=1e-10)
@@ -117,9 +111,7 @@ def test_a_change_is_the_total_without_what_the_file_has(told: Told) -> None:
 
 def test_the_recording_that_knows_an_effect_better_is_said(recordings, told: Told) -> None:
     one, y, *_ = recordings
-    other = Told.by(
-        Evidence(_gram(one, y), [_term(key) for key in SCALES], 0.03), Weighed((), 1.0, 0.0), SHARED
-    )
+    other = Told.by(Evidence(_gram(one, y), [_term(key) for key in SCALES], 0.03), Weighed((), 1.0, 0.0), SHARED)
     assert told.knows_better(SCALES[1], other)
     assert other.knows_better(SCALES[2], told)  # the second one's own shape looks like this scale
     assert not told.knows_better(EffectName("backlash", 1), other)  # of which neither knows

@@ -27,9 +27,7 @@ RATE_Hz, SECONDS = 500.0, 2.0
 COULOMB_Nm = (0.6, 0.7, 0.5)
 VISCOUS = (0.7, 0.5, 0.4)
 STIFFER = 5.0
-Hidden = Callable[
-    [int, Array, Array, Array], Array
-]  # joint, q, speed, link torque -> torque that the motor adds
+Hidden = Callable[[int, Array, Array, Array], Array]  # joint, q, speed, link torque -> torque that the motor adds
 
 
 def arm_with_friction() -> Arm:
@@ -42,12 +40,7 @@ def arm_with_friction() -> Arm:
     effects += [Effect("viscous_friction", j + 1, {"coefficient_Nm_s_rad": v}) for j, v in enumerate(VISCOUS)]
     arm = load_arm("right")
     drives = tuple(
-        replace(
-            drive,
-            inductance_H=0.0,
-            resistance_ohm=STIFFER * drive.resistance_ohm,
-            supply_V=2.4 * drive.supply_V,
-        )
+        replace(drive, inductance_H=0.0, resistance_ohm=STIFFER * drive.resistance_ohm, supply_V=2.4 * drive.supply_V)
         for drive in arm.drives
     )
     return replace(arm, effects=tuple(effects), drives=drives)
@@ -85,21 +78,7 @@ def log_of(
     runs = []
     for k, (motion, load) in enumerate(zip(seeds, loads, strict=True)):
         slow = 0.15 if motion == 11 else 1.0
-        runs.append(
-            _run(
-                model,
-                str(k + 1),
-                motion,
-                slow,
-                load,
-                hidden,
-                rng,
-                delay_samples,
-                winding_share,
-                turned,
-                closes_loop,
-            )
-        )
+        runs.append(_run(model, str(k + 1), motion, slow, load, hidden, rng, delay_samples, winding_share, turned, closes_loop))
     return Log(tuple(runs), ("prescribed",))
 
 
@@ -149,9 +128,7 @@ def _run(
     qm, vm, am = _waves(starts + 0.5 * T, tones, slow)
     K = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in arm.drives])
     R = np.array([d.resistance_ohm for d in arm.drives]) * (1.0 + winding_share)
-    level = (
-        R * _torque(model, qm, vm, am, load, hidden) / K + K * vm
-    )  # over the sample that begins at `starts`
+    level = R * _torque(model, qm, vm, am, load, hidden) / K + K * vm  # over the sample that begins at `starts`
     q = q0[1 : count + 1]
     current = (level[:count] - K * v0[1 : count + 1]) / R
     voltage = level[1 + delay : 1 + delay + count]
@@ -162,9 +139,15 @@ def _run(
     joints = q if turned is None else q + turned(q, model.dynamics.torques(q, 0 * q, 0 * q, load))
     tip = _seen(model, joints, rng)
     return LoggedRun(
-        name, T * np.arange(count), np.round(q / step) * step, q, current + rng.normal(0.0, 0.01, current.shape),
-        voltage, np.full(count, load), tip,
-    )  # fmt: skip
+        name,
+        T * np.arange(count),
+        np.round(q / step) * step,
+        q,
+        current + rng.normal(0.0, 0.01, current.shape),
+        voltage,
+        np.full(count, load),
+        tip,
+    )
 
 
 def _torque(model: Model, q: Array, v: Array, a: Array, load: float, hidden: Hidden) -> Array:

@@ -57,12 +57,7 @@ def test_currents_in_milliamperes_are_said_and_not_used() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "word"),
-    [
-        (-1.0, "other sign"),
-        (100.0 / ARM.drives[0].supply_V, "percent"),
-        (1 / ARM.drives[0].supply_V, "share"),
-    ],
+    ("factor", "word"), [(-1.0, "other sign"), (100.0 / ARM.drives[0].supply_V, "percent"), (1 / ARM.drives[0].supply_V, "share")]
 )
 def test_voltages_that_are_none_are_said_and_not_used(factor: float, word: str) -> None:
     recording = checked(lambda run: replace(run, voltage_V=factor * run.voltage_V))
@@ -117,9 +112,7 @@ def late_camera() -> DynamicOutcome:
 
     def late(run: LoggedRun) -> LoggedRun:
         seen = np.isfinite(run.tip_m[:, 0])
-        earlier = np.stack(
-            [np.interp(run.t_s[seen] - 0.006, run.t_s, column) for column in run.q_rad.T], axis=1
-        )
+        earlier = np.stack([np.interp(run.t_s[seen] - 0.006, run.t_s, column) for column in run.q_rad.T], axis=1)
         tip = np.array(run.tip_m)
         tip[seen] += kinematics.tips(earlier) - kinematics.tips(run.q_rad[seen])
         return replace(run, tip_m=tip)

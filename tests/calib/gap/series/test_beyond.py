@@ -68,11 +68,6 @@ def test_nothing_is_said_of_recordings_without_currents() -> None:
 
 def test_slow_logs_have_a_narrower_band_and_short_runs_say_nothing() -> None:
     assert filters_for(100.0).row_Hz == pytest.approx(10.0)
-    short = Run(
-        q_raw=np.zeros((5, 3)),
-        speed=np.zeros((5, 3)),
-        current_raw_A=np.ones((5, 3)),
-        usable=np.ones((5, 3), dtype=bool),
-    )
+    short = Run(q_raw=np.zeros((5, 3)), speed=np.zeros((5, 3)), current_raw_A=np.ones((5, 3)), usable=np.ones((5, 3), dtype=bool))
     recording: Any = SimpleNamespace(runs=(short,), filters=filters_for(RATE_Hz), has_current=True)
     assert list(ripples(recording, ARM_RATIOS)) == []

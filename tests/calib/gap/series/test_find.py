@@ -31,14 +31,7 @@ from tests.thirds import third_of
 pytestmark = pytest.mark.usefixtures("without_motion")
 
 ARM = arm_with_friction()
-FEW = (
-    "coulomb_friction",
-    "viscous_friction",
-    "load_friction",
-    "cogging",
-    "stribeck_friction",
-    "torque_constant",
-)
+FEW = ("coulomb_friction", "viscous_friction", "load_friction", "cogging", "stribeck_friction", "torque_constant")
 
 
 def hiding(law: Hidden, candidates: Collection[str] | None = FEW) -> GapFinding:
@@ -247,18 +240,9 @@ def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
 
 
 def test_a_frame_that_motions_name_is_the_total_that_calibrate_places_from_the_same_tips() -> None:
-    vector = (
-        0.4,
-        -0.2,
-        0.1,
-        0.1,
-        -0.3,
-        0.8,
-    )  # of the file, as docs/formats.md has it; the camera has moved since
+    vector = (0.4, -0.2, 0.1, 0.1, -0.3, 0.8)  # of the file, as docs/formats.md has it; the camera has moved since
     there = Frame("camera", rotation_of(np.array([0.106, -0.304, 0.797])), np.array([0.403, -0.204, 0.098]))
-    arm = replace(
-        ARM, effects=(*ARM.effects, Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True))))
-    )
+    arm = replace(ARM, effects=(*ARM.effects, Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True)))))
     log = log_of(ARM)
     runs = [replace(run, tip_m=(run.tip_m - there.origin_m) @ there.rotation) for run in log.runs]
     found = find(arm, replace(log, runs=tuple(runs)), candidates=("base_frame",))
@@ -266,29 +250,12 @@ def test_a_frame_that_motions_name_is_the_total_that_calibrate_places_from_the_s
     assert found.gap_after < 1.1 < found.gap_before
 
     seen = [np.isfinite(run.tip_m[:, 0]) for run in runs]
-    q, tip = (
-        np.concatenate([getattr(run, k)[rows] for run, rows in zip(runs, seen, strict=True)])
-        for k in ("q_rad", "tip_m")
-    )
+    q, tip = (np.concatenate([getattr(run, k)[rows] for run, rows in zip(runs, seen, strict=True)]) for k in ("q_rad", "tip_m"))
     m, nothing = len(q), np.full((len(q), 3), np.nan)
-    points = Points(
-        ("free",) * m,
-        ("p",) * m,
-        tuple(range(m)),
-        q,
-        tip,
-        np.zeros((m, 3)),
-        nothing,
-        nothing[:, 0],
-        nothing[:, 0],
-    )
+    points = Points(("free",) * m, ("p",) * m, tuple(range(m)), q, tip, np.zeros((m, 3)), nothing, nothing[:, 0], nothing[:, 0])
     choice = Choice(freed=("base",), fixed=dh_names(len(arm.links)))
     placed = calibrated_arm(arm, identify(problem_of(arm, points, choice), objective=LeastSquares()), points)
     (frame,) = (one for one in placed.effects if one.effect == "base_frame")
     (named,) = found.effects
-    assert {key: value for key, (value, _) in named.parameters.items()} == pytest.approx(
-        dict(frame.parameters), abs=1e-4
-    )
-    np.testing.assert_allclose(
-        [v for v, _ in named.parameters.values()], (*there.origin_m, 0.106, -0.304, 0.797), atol=2e-4
-    )
+    assert {key: value for key, (value, _) in named.parameters.items()} == pytest.approx(dict(frame.parameters), abs=1e-4)
+    np.testing.assert_allclose([v for v, _ in named.parameters.values()], (*there.origin_m, 0.106, -0.304, 0.797), atol=2e-4)

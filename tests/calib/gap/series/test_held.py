@@ -29,9 +29,7 @@ def rough(late_samples: float = 0.0, noise_A: float = 0.01) -> Log:
     left = np.exp(-period * (1.0 - late_samples) / TIME_s)
     R = np.array([drive.resistance_ohm for drive in ARM.drives])
     for k in range(2, count):
-        early = voltage[k - 2] / R + (current[k - 1] - voltage[k - 2] / R) * np.exp(
-            -period * late_samples / TIME_s
-        )
+        early = voltage[k - 2] / R + (current[k - 1] - voltage[k - 2] / R) * np.exp(-period * late_samples / TIME_s)
         current[k] = voltage[k - 1] / R + (early - voltage[k - 1] / R) * left
     current += rng.normal(0.0, noise_A, current.shape)
     tip = np.full((count, 3), np.nan)

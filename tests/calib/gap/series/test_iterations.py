@@ -27,9 +27,7 @@ def validated(*missed: float) -> Validated:
         ((-0.4, -0.2), True, True),
     ],
 )
-def test_a_fit_stays_unless_its_predictions_are_worse(
-    worse: tuple[float, ...], stays: bool, stays_remeasured: bool
-) -> None:
+def test_a_fit_stays_unless_its_predictions_are_worse(worse: tuple[float, ...], stays: bool, stays_remeasured: bool) -> None:
     before, after = validated(*[1.0] * len(worse)), validated(*[1.0 + one for one in worse])
     assert (after.unless_worse_than(before) is after) == stays
     assert (after.unless_worse_than(before, is_remeasured=True) is after) == stays_remeasured

@@ -10,15 +10,7 @@ import pytest
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws
-from calib.gap.log import (
-    UNITS,
-    Log,
-    LoggedRun,
-    amperes_per,
-    log_in_amperes,
-    with_ideal_drives,
-    without_voltages,
-)
+from calib.gap.log import UNITS, Log, LoggedRun, amperes_per, log_in_amperes, with_ideal_drives, without_voltages
 from calib.gap.residuals.rows import ResidualRows, without_motion
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.body import BodyTorques, Load
@@ -125,15 +117,11 @@ def test_copies_of_runs_are_used_once_and_are_no_repeats() -> None:
     twice = Log((*LOG.runs, *(replace(run, name=f"again {run.name}") for run in LOG.runs)))
     recording = prepare(ARM, twice)
     assert recording.repeats == prepare(ARM, LOG).repeats
-    assert "7 runs (again 1, again 2, again 3, again 4 and others): copies of others, used once" in said(
-        recording
-    )
+    assert "7 runs (again 1, again 2, again 3, again 4 and others): copies of others, used once" in said(recording)
 
 
 def test_links_without_inertia_are_said() -> None:
-    links = tuple(
-        replace(one, inertia_kg_m2=(0.0, 0.0, 0.0)) if one.inertia_kg_m2 else one for one in ARM.links
-    )
+    links = tuple(replace(one, inertia_kg_m2=(0.0, 0.0, 0.0)) if one.inertia_kg_m2 else one for one in ARM.links)
     recording = prepare(replace(ARM, links=links), LOG)
     assert "inertia_kg_m2 of link 1, 2, 3 is zero" in said(recording)
 
@@ -168,10 +156,7 @@ def test_samples_that_come_as_events_are_no_time_series() -> None:
     rng = np.random.default_rng(5)
 
     def events(run: LoggedRun) -> LoggedRun:
-        return rows(
-            run,
-            np.flatnonzero(np.repeat(rng.random(len(run) // 10) < 0.35, 10) & (rng.random(len(run)) < 0.5)),
-        )
+        return rows(run, np.flatnonzero(np.repeat(rng.random(len(run) // 10) < 0.35, 10) & (rng.random(len(run)) < 0.5)))
 
     with pytest.raises(UnusableLogError, match="as events do"):
         prepare(ARM, changed(events))
@@ -203,9 +188,7 @@ def test_one_factor_on_all_joints_is_another_unit_and_no_torque_constant() -> No
 def test_a_swing_with_the_driver_off_needs_no_currents_and_no_voltages() -> None:
     nothing = np.full((len(LOG.runs[0]), 3), np.nan)
     off = changed(lambda run: replace(run, current_A=nothing, voltage_V=nothing, is_commanded=True))
-    recording = plausible(
-        ARM, prepare(ARM, replace(off, runs=tuple(replace(r, tip_m=nothing) for r in off.runs)))
-    )
+    recording = plausible(ARM, prepare(ARM, replace(off, runs=tuple(replace(r, tip_m=nothing) for r in off.runs))))
     assert recording.has_voltage
     assert all(run.is_off.all() for run in recording.runs)
     assert len(ResidualRows(Physics(ARM, recording), known_laws(ARM)).table.run)
@@ -220,13 +203,7 @@ def test_five_thousand_samples_a_second_are_averaged_where_no_voltage_was_held_b
         tip[7::50] = 0.3
         noise = rng.normal(0.0, 0.05, (len(t_s), 3))
         nothing = np.full((len(t_s), 3), np.nan)
-        return replace(
-            finer,
-            current_A=finer.current_A + noise,
-            voltage_V=nothing,
-            tip_m=tip,
-            q_rad=finer.q_rad + 1e-6 * noise,
-        )
+        return replace(finer, current_A=finer.current_A + noise, voltage_V=nothing, tip_m=tip, q_rad=finer.q_rad + 1e-6 * noise)
 
     recording = prepare(ARM, changed(fast))
     assert recording.filters.rate_Hz == pytest.approx(1000.0, rel=1e-3)

@@ -48,10 +48,7 @@ def gear(effect: str, *values: float) -> list[Law]:
 
 @pytest.mark.parametrize(
     ("effect", "known", "more"),
-    [
-        ("backlash", (0.006, 0.0), (0.004, 0.3)),
-        ("joint_compliance", (1 / 900.0, 3.0, 0.0), (1 / 700.0, 5.0, 0.2)),
-    ],
+    [("backlash", (0.006, 0.0), (0.004, 0.3)), ("joint_compliance", (1 / 900.0, 3.0, 0.0), (1 / 700.0, 5.0, 0.2))],
 )
 def test_what_the_file_has_of_a_gear_and_what_is_found_besides_are_one_gear(
     effect: str, known: tuple[float, ...], more: tuple[float, ...]
@@ -70,9 +67,7 @@ def test_what_the_file_has_of_a_gear_and_what_is_found_besides_are_one_gear(
 def test_a_gear_that_is_soft_and_loose_is_both_in_whichever_order_they_are_said() -> None:
     physics = Physics(LONG, prepare(LONG, log_of(LONG)))
     soft, play = gear("joint_compliance", 1 / 500.0, 4.0, 0.1), gear("backlash", 0.008, 0.1)
-    both, turned = (
-        physics.following.beyond([*one, *other])[0] for one, other in ((soft, play), (play, soft))
-    )
+    both, turned = (physics.following.beyond([*one, *other])[0] for one, other in ((soft, play), (play, soft)))
     np.testing.assert_array_equal(np.vstack(both), np.vstack(turned))
     for alone in (soft, play):
         assert np.abs(np.vstack(physics.following.beyond(alone)[0]) - np.vstack(both)).max() > 1e-3
@@ -83,9 +78,7 @@ def test_a_gear_that_is_soft_and_loose_is_both_in_whichever_order_they_are_said(
 def test_a_soft_and_loose_gear_hangs_on_its_flank_by_gravity_over_its_stiffness() -> None:
     state = run([*gear("backlash", 0.01, 0.0), *gear("joint_compliance", 1 / 400.0, 8.0, 0.0)], 600)
     gravity = Dynamics(ARM).torques(state.q, 0 * POSE, 0 * POSE)[0, 1]
-    assert state.q[0, 1] - state.motor[0, 1] == pytest.approx(
-        -0.005 * np.sign(gravity) - gravity / 400.0, rel=0.02
-    )
+    assert state.q[0, 1] - state.motor[0, 1] == pytest.approx(-0.005 * np.sign(gravity) - gravity / 400.0, rel=0.02)
 
 
 def test_voltages_that_hold_the_arm_keep_it_where_it_is() -> None:

@@ -54,10 +54,7 @@ def test_steps_of_encoders_are_in_the_tips_floor() -> None:
         floors.append(tip.floor)
     kinematics = ForwardKinematics(LONG)
     moved_m = np.concatenate(
-        [
-            kinematics.tips(one.q_rad) - kinematics.tips(other.q_rad)
-            for one, other in zip(fine.runs, stepped, strict=True)
-        ]
+        [kinematics.tips(one.q_rad) - kinematics.tips(other.q_rad) for one, other in zip(fine.runs, stepped, strict=True)]
     )
     assert floors[1] == pytest.approx(np.hypot(floors[0], np.sqrt(np.mean(moved_m**2))), rel=0.1)
     assert floors[1] > 1.5 * floors[0]

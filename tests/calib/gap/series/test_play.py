@@ -62,9 +62,7 @@ def test_an_impact_passes_on_the_momentum_of_the_link() -> None:
 def test_friction_behind_a_spring_is_transmitted_by_it() -> None:
     """A link that its motor turns steadily: what the spring carries is the torque and the link's own friction."""
     torque = np.full((2000, 1), 1.0)
-    drive = LinkDrive(
-        torque, np.full_like(torque, 0.05), 0.0 * torque, PERIOD_s, np.full_like(torque, 0.5), 0.4, 0.2
-    )
+    drive = LinkDrive(torque, np.full_like(torque, 0.05), 0.0 * torque, PERIOD_s, np.full_like(torque, 0.5), 0.4, 0.2)
     found = elastic(drive, 600.0, 2.0, share=0.5)
     assert found.transmitted_Nm[-1, 0] == pytest.approx(1.0 + 0.5 * (0.4 + 0.2 * 0.5), rel=1e-3)
     assert elastic(drive, 600.0, 2.0).transmitted_Nm[-1, 0] == pytest.approx(1.0, rel=1e-3)

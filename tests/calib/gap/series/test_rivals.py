@@ -11,9 +11,11 @@ from calib.gap.posterior.term import Block
 from calib.gap.series.iterations import rivals
 
 SCALE, WAVE, COULOMB, SOFT = (
-    EffectName("encoder_scale", 3), EffectName("encoder_eccentricity", 3), EffectName("coulomb_friction", 3),
+    EffectName("encoder_scale", 3),
+    EffectName("encoder_eccentricity", 3),
+    EffectName("coulomb_friction", 3),
     EffectName("joint_compliance", 3),
-)  # fmt: skip
+)
 KEYS = [SCALE, WAVE, COULOMB, SOFT, Block(3, "load")]
 
 
@@ -27,23 +29,14 @@ def fit(*sets: tuple[float, list[Any]]) -> Any:
     terms = [SimpleNamespace(key=key) for key in KEYS]
     decision = SimpleNamespace(names=(SCALE, COULOMB))
     names = frozenset(KEYS[k] for k, _ in found[0].members)
-    return SimpleNamespace(
-        linear=SimpleNamespace(terms=terms), best=found[0], found=tuple(found), decision=decision, names=names
-    )
+    return SimpleNamespace(linear=SimpleNamespace(terms=terms), best=found[0], found=tuple(found), decision=decision, names=names)
 
 
 def test_what_explains_nine_tenths_of_a_name_in_its_place_is_its_rival() -> None:
-    found = list(
-        rivals(fit((0.0, [SCALE, COULOMB]), (-51.0, [WAVE]), (-60.0, [WAVE, COULOMB]), (-800.0, [COULOMB])))
-    )
+    found = list(rivals(fit((0.0, [SCALE, COULOMB]), (-51.0, [WAVE]), (-60.0, [WAVE, COULOMB]), (-800.0, [COULOMB]))))
     assert [(name, rival, one.log) for name, rival, one in found] == [(SCALE, WAVE, -51.0)]
 
 
 def test_what_explains_less_a_block_and_what_comes_besides_are_none() -> None:
-    sets = [
-        (0.0, [SCALE, COULOMB]),
-        (-5.5, [SCALE, WAVE, COULOMB]),
-        (-30.0, [COULOMB, KEYS[4]]),
-        (-120.0, [SOFT, COULOMB]),
-    ]
+    sets = [(0.0, [SCALE, COULOMB]), (-5.5, [SCALE, WAVE, COULOMB]), (-30.0, [COULOMB, KEYS[4]]), (-120.0, [SOFT, COULOMB])]
     assert list(rivals(fit(*sets))) == []

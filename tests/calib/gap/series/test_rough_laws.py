@@ -44,9 +44,7 @@ def test_two_laws_that_are_only_roughly_right_are_both_named_as_what_they_are() 
     value, sd = load.parameters["fraction"]
     assert value == pytest.approx(0.2, rel=0.1)
     assert abs(value - 0.2) < 3.0 * sd
-    assert (
-        found.gap_explained < 1.3 < found.gap_after < 0.06 * found.gap_before
-    )  # no file says how a part departs
+    assert found.gap_explained < 1.3 < found.gap_after < 0.06 * found.gap_before  # no file says how a part departs
 
 
 def test_a_value_is_within_its_interval_where_laws_that_the_file_has_depart_by_a_few_per_cent() -> None:
@@ -65,9 +63,7 @@ def test_a_value_is_within_its_interval_where_laws_that_the_file_has_depart_by_a
 
 
 @pytest.mark.nightly
-def test_what_is_no_law_of_the_sensors_is_not_taken_off_and_the_file_leaves_the_currents_as_they_were() -> (
-    None
-):
+def test_what_is_no_law_of_the_sensors_is_not_taken_off_and_the_file_leaves_the_currents_as_they_were() -> None:
     (case,) = made([asked("rough", 482_003)])  # a drift that the camera alone sees; samples are read at once
     found = find(arm_of(case.arm_toml), log_of_case(case))
     assert names(found) == {EffectName("thermal_drift", 1)}

@@ -82,7 +82,5 @@ def test_samples_of_a_held_voltage_are_those_of_small_steps() -> None:
     at = held[len(samples) - 1]
     wanted, smooth = found.current[0] @ pushed, found.speed[0] @ pushed
     np.testing.assert_allclose(samples[-1][1] / at, wanted, atol=2e-3 * np.abs(wanted).max())
-    swing = (samples[-1][0] - samples[-2][0]) / (
-        at * (1.0 - np.exp(-1j * omega * period_s))
-    )  # free of the start's offset
+    swing = (samples[-1][0] - samples[-2][0]) / (at * (1.0 - np.exp(-1j * omega * period_s)))  # free of the start's offset
     np.testing.assert_allclose(1j * omega * swing, smooth, atol=2e-3 * np.abs(smooth).max())

@@ -121,9 +121,7 @@ def test_a_gear_that_is_soft_and_loose_is_named_as_both() -> None:
     (case,) = made([Asked(500_001, "joint_compliance+backlash", 2)])
     found = find(arm_of(case.arm_toml), log_of_case(case))
     assert {one.name for one in found.effects} == {SPRING_2, EffectName("backlash", 2)}
-    for one, hidden in zip(
-        sorted(found.effects, key=lambda one: -len(one.name.effect)), case.truth, strict=True
-    ):
+    for one, hidden in zip(sorted(found.effects, key=lambda one: -len(one.name.effect)), case.truth, strict=True):
         for key, true in hidden["parameters"].items():
             value, sd = one.parameters[key]
             assert abs(value - true) < 1.96 * sd < 0.3 * true

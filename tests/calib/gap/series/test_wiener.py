@@ -31,9 +31,7 @@ def test_accelerations_lose_the_noise_of_the_angles_and_keep_the_motion() -> Non
     missed = of_all(noisy) - of_all(true)
     left = of_all(without_noise(noisy)) - of_all(true)
     assert np.std(left) < 0.35 * np.std(missed)
-    assert abs(np.sum(left * missed)) < 0.15 * np.sum(
-        missed**2
-    )  # what is left is not the noise that the residual has
+    assert abs(np.sum(left * missed)) < 0.15 * np.sum(missed**2)  # what is left is not the noise that the residual has
 
 
 def test_motions_that_only_an_encoders_steps_blur_are_as_they_were() -> None:
