@@ -40,6 +40,18 @@ class Prediction:
     tip_m: Array
 
 
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """What a model makes of one run's sensors, whatever its mechanics, (m, n) each: the motors beyond their encoders, the links'
+    angles, speeds and accelerations where encoders err, the mean current, and what voltage and speed leave of it.
+    """
+
+    ahead: MotorAhead
+    turns: tuple[Array, ...]
+    current_A: Array
+    electrical_A: Array
+
+
 class Physics:
     """Evaluates models on one recording."""
 
@@ -58,6 +70,7 @@ class Physics:
         self.following = YieldingJoints(recording, self.body)
         self.tips = SeenTips(arm, recording)
         self._last_driven: tuple[tuple[Law, ...], list[tuple[Array, Array, Array]]] | None = None
+        self._last_sensed: tuple[object, list[Sensed]] | None = None
 
     def current_roughness(self, k: int, joint: int) -> float:
         """White noise of run k's current sensor [A]: the third difference takes off what is smooth.
@@ -95,33 +108,41 @@ class Physics:
         torques = self.body.link_torques(parts.load)
         moved = self.following.all(parts) if parts.elastic else []
         result = []
-        for k, run in enumerate(self.recording.runs):
+        for k, (run, sensed) in enumerate(zip(self.recording.runs, self._sensed(parts), strict=True)):
             link, offset = torques[k], np.zeros_like(run.q)
             if moved:
                 link, offset = moved[k]
-            ahead = STILL
             if parts.angles:
-                ahead, turns = angle_error(parts.angles, run)
-                link = link - torques[k] + self.body.moved(parts.load, run, *turns)
+                link = link - torques[k] + self.body.moved(parts.load, run, *sensed.turns)
                 for term in parts.angles:
                     at, by = place(term)
                     if at != by and term.form.where == "behind":  # its motor pulls at the other joint through the belt
                         link[:, by] += term.values[0] * link[:, at]
-            mechanical = self._current(parts, run, k, link, ahead)
-            result.append((mechanical, self._electrical(parts, run, k, ahead), offset))
+            result.append((self._current(parts, run, link, sensed), sensed.electrical_A, offset))
         return result
 
-    def _current(self, parts: ActingTerms, run: EvenRun, k: int, link: Array, ahead: MotorAhead) -> Array:
+    def _sensed(self, parts: ActingTerms) -> list[Sensed]:
+        """Of every run; the last is kept, as frictions, loads and gears change nothing of it."""
+        key = parts.delay_s, parts.scale, parts.sag, parts.angles
+        if self._last_sensed is None or self._last_sensed[0] != key:
+            found = []
+            for k, run in enumerate(self.recording.runs):
+                ahead, turns = angle_error(parts.angles, run) if parts.angles else (STILL, ())
+                current = self._mean_current(parts, run, k, self.scales(parts), ahead)
+                found.append(Sensed(ahead, turns, current, self._electrical(parts, run, k, ahead)))
+            self._last_sensed = key, found
+        return self._last_sensed[1]
+
+    def _current(self, parts: ActingTerms, run: EvenRun, link: Array, sensed: Sensed) -> Array:
         """Mean current expected from the motion, less the measured one."""
+        ahead = sensed.ahead
         wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
             j = term.index
             beyond = 0.0 if isinstance(ahead.angle_rad, float) else ahead.angle_rad[:, j]
             own = sampled_friction_Nm(term, run, link[:, j], self.gear_ratios[j], beyond)
             wanted[:, j] += own * (1.0 - parts.behind(term))
-        scale = self.scales(parts)
-        measured = self._mean_current(parts, run, k, scale, ahead)
-        return np.asarray(wanted / (self.torque_per_A * scale) - measured)
+        return np.asarray(wanted / (self.torque_per_A * self.scales(parts)) - sensed.current_A)
 
     def _mean_current(self, parts: ActingTerms, run: EvenRun, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
         K = self.torque_per_A * scale
