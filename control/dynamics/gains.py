@@ -9,8 +9,12 @@ The joint model neglects the inductance (its time constant is a fraction of a cy
 
     kd = (3 w - a) / b,   kp = 3 w^2 / b,   ki = w^3 / b.
 
-Where the back-EMF damps more than 3 w, kd is zero. In a loop slower than 500 Hz, w is slower in proportion and most motors
-damp more than that; then two poles are at -w and the third is the motor's own, at -(a - 2 w):
+Where the back-EMF damps more than 3 w, kd is zero. A joint that is much lighter in some poses meets kd there with a large b:
+its speed loop crosses over at b kd, of which the delay allows DAMPING_MOST_rad_s. So w is at most a third of a + b kd with
+the kd that this allows; without, an arm whose folded first joint had a fifth of its inertia was unstable there.
+
+In a loop slower than 500 Hz, w is slower in proportion and most motors damp more than that; then two poles are at -w and the
+third is the motor's own, at -(a - 2 w):
 
     kp = (w^2 + 2 w (a - 2 w)) / b,   ki = w^2 (a - 2 w) / b.
 
@@ -48,6 +52,7 @@ from control.model.arm import Arm, Drive, DrivePid
 POLE_rad_s = 40.0
 CURRENT_MODE_POLE_rad_s = 25.0
 POLE_PERIOD_S = 0.002  # of the loop for which the poles were chosen
+DAMPING_MOST_rad_s = 110.0  # 8 to 9 dB of gain margin in the lightest pose, as at joint 1 of the reference arm
 _POSES = 200
 INTEGRAL_POLE = 0.05  # of an encoder behind play, over the others: see the top
 DERIVATIVE_FILTER_S = 0.001  # half a cycle: just enough to smooth the encoder's quantisation
@@ -74,9 +79,13 @@ def gains_of(arm: Arm, joint: int, period_s: float = POLE_PERIOD_S) -> Gains:
     if pid.kp is not None and pid.ki is not None and pid.kd is not None:
         return Gains(pid.kp, pid.ki, pid.kd, filter_s)
     pole_rad_s = CURRENT_MODE_POLE_rad_s if pid.mode == "current" else POLE_rad_s
-    pole_rad_s *= min(1.0, POLE_PERIOD_S / period_s)
-    is_slow = period_s > POLE_PERIOD_S
-    placed = placed_gains(drive, _inertia_kg_m2(arm, joint), filter_s, pole_rad_s, is_slow)
+    slowness, is_slow = min(1.0, POLE_PERIOD_S / period_s), period_s > POLE_PERIOD_S
+    pole_rad_s *= slowness
+    least, largest = _inertia_range_kg_m2(arm, joint)
+    if pid.mode != "current":  # there the loop scales the gains by the pose
+        a = (drive.gear_ratio * drive.torque_constant_Nm_A) ** 2 / (drive.resistance_ohm * largest)
+        pole_rad_s = min(pole_rad_s, (a + slowness * DAMPING_MOST_rad_s * least / largest) / 3.0)
+    placed = placed_gains(drive, largest, filter_s, pole_rad_s, is_slow)
     return Gains(
         placed.kp if pid.kp is None else pid.kp,
         placed.ki if pid.ki is None else pid.ki,
@@ -135,7 +144,7 @@ class InertiaScale:
 
     def __init__(self, arm: Arm) -> None:
         joints = range(1, arm.joint_count + 1)
-        self._largest = tuple(_inertia_kg_m2(arm, joint) for joint in joints)
+        self._largest = tuple(_inertia_range_kg_m2(arm, joint)[1] for joint in joints)
         pids = [drive.pid for drive in arm.drives]
         self._is_derived = tuple(pid.mode == "current" and pid.kp is None for pid in pids)
         self._mass_matrix = Dynamics(arm).mass_matrix
@@ -151,20 +160,20 @@ class InertiaScale:
         return tuple(inertia / largest if is_derived else 1.0 for inertia, largest, is_derived in each)
 
 
-def _inertia_kg_m2(arm: Arm, joint: int) -> float:
-    """The largest inertia of a joint over random poses within the joint ranges."""
+def _inertia_range_kg_m2(arm: Arm, joint: int) -> tuple[float, float]:
+    """The least and the largest inertia of a joint over random poses within the joint ranges."""
     try:
         inertias = _inertias_kg_m2(Dynamics(arm), arm.limits_rad)
     except MissingModel as error:
         needs = f"gains of joint {joint}: [drive.pid] has no kp, ki, kd, and they cannot be derived"
         raise MissingModel(f"{needs}: {error}") from None
-    inertia = float(inertias[:, joint - 1].max())
-    if inertia <= 0.0:
+    least, largest = float(inertias[:, joint - 1].min()), float(inertias[:, joint - 1].max())
+    if largest <= 0.0:
         raise MissingModel(
             f"arm {arm.name}: gains of joint {joint} cannot be derived, its inertia is zero; "
             "give rotor_inertia_kg_m2, or kp, ki, kd in [drive.pid]"
         )
-    return inertia
+    return least, largest
 
 
 @lru_cache(maxsize=8)

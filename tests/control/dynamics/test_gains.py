@@ -7,6 +7,7 @@ import pytest
 
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.gains import Gains, POLE_rad_s, gains_of, placed_gains, volt_gains_of
+from control.dynamics.tuning import controller, margins
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive, DrivePid
 from control.model.description import load_arm
@@ -40,6 +41,22 @@ def test_default_gains_keep_their_phase_margin_in_every_pose(joint: int, payload
     gains = gains_of(RIGHT, joint)
     for inertia in (inertias.min(), inertias.max()):
         assert _phase_margin_deg(RIGHT.drive(joint), inertia, gains) >= margin_deg - 0.5
+
+
+def test_default_gains_bear_a_pose_in_which_a_joint_has_a_fraction_of_its_inertia() -> None:
+    weak = dataclasses.replace(RIGHT.drives[0], rotor_inertia_kg_m2=4e-6, resistance_ohm=4.0)  # its back-EMF hardly damps
+    arm = dataclasses.replace(RIGHT, drives=(weak, *RIGHT.drives[1:]))
+    lower, upper = np.array(RIGHT.limits_rad).T
+    poses = np.random.default_rng(1).uniform(lower, upper, (300, 3))
+    inertias = Dynamics(arm).mass_matrices(poses)[:, 0, 0]
+    assert inertias.max() > 4.0 * inertias.min()
+    gains, drive = gains_of(arm, 1), arm.drive(1)
+    constant, omega = drive.gear_ratio * drive.torque_constant_Nm_A, np.geomspace(1.0, 1500.0, 600)
+    for inertia in (inertias.min(), inertias.max()):
+        b, s = constant / (drive.resistance_ohm * inertia), 1j * omega
+        plant = b * np.exp(-2.0 * PERIOD_S * s) / (s * (s + constant * b))
+        found = margins(omega, controller(gains, PERIOD_S, omega) * plant)
+        assert found.meet(8.0, 45.0)
 
 
 @pytest.mark.parametrize("mode", ["voltage", "current", "position"])
