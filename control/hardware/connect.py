@@ -273,11 +273,11 @@ def _pins(arm: Arm, bus: MotorBus, boards: Mapping[int, MotorBoard], failures: l
     wanted = {pin.board for pin in arm.digital} & boards.keys()
     if not wanted:
         return None
-    found = {node: DigitalPins(bus, boards[node]) for node in sorted(wanted)}
-    for node, pins in found.items():
+    pins_of_node = {node: DigitalPins(bus, boards[node]) for node in sorted(wanted)}
+    for node, pins in pins_of_node.items():
         with collect(failures):
             pins.require(1 + max(pin.pin for pin in arm.digital if pin.board == node))
-    return NamedPins(arm.digital, found)
+    return NamedPins(arm.digital, pins_of_node)
 
 
 def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None:

@@ -50,12 +50,12 @@ class NamedPins:
 
     def levels(self, now_s: float) -> dict[str, bool | None]:
         """Levels at the pins; None while a board does not say."""
-        found: dict[str, bool | None] = {}
+        level_of: dict[str, bool | None] = {}
         for pin in self._described:
             board = self._boards[pin.board]
             reply = board.reply if now_s - board.reply_at_s <= STALE_s else None
-            found[pin.name] = None if reply is None else bool(reply.levels >> pin.pin & 1)
-        return found
+            level_of[pin.name] = None if reply is None else bool(reply.levels >> pin.pin & 1)
+        return level_of
 
 
 class OutputMode(Enum):

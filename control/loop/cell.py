@@ -166,6 +166,6 @@ class CellRuntime:
             elif name not in self._in_fault:
                 self._in_fault.add(name)
                 why = f"arm {name!r} is in FAULT: {runtime.monitor.faults[0].message}"
-                for other in self._all:
-                    if other is not runtime and other.monitor.mode in MOVING_MODES:
-                        other.stop(why)
+                for neighbour in self._all:
+                    if neighbour is not runtime and neighbour.monitor.mode in MOVING_MODES:
+                        neighbour.stop(why)

@@ -141,21 +141,21 @@ def _of_torque(joint: Joint) -> Fault:
 
 
 def _of_supply(joint: Joint, supply_V: float) -> Fault:
-    said = f"its drive's supply is {supply_V:.1f} V (limits {joint.supply.lower:.1f} to {joint.supply.upper:.1f} V)"
+    message = f"its drive's supply is {supply_V:.1f} V (limits {joint.supply.lower:.1f} to {joint.supply.upper:.1f} V)"
     remedy = "check the supply, the emergency-stop switch and the brake resistor"
-    return Fault("supply", joint.name, said, remedy, Reaction.BRAKE)
+    return Fault("supply", joint.name, message, remedy, Reaction.BRAKE)
 
 
 def _of_current(joint: Joint, current_A: float) -> Fault:
-    said = f"its motor draws {current_A:.1f} A (limit {joint.current.upper:.1f} A)"
+    message = f"its motor draws {current_A:.1f} A (limit {joint.current.upper:.1f} A)"
     remedy = "check for a blocked joint or a short circuit, and the board's current limit"
-    return Fault("over_current", joint.name, said, remedy, Reaction.BRAKE)
+    return Fault("over_current", joint.name, message, remedy, Reaction.BRAKE)
 
 
 def _of_temperature(joint: Joint, at_degC: float) -> Fault:
-    said = f"its drive's power stage is at {at_degC:.0f} degC (limit {joint.temperature.upper:.0f} degC)"
+    message = f"its drive's power stage is at {at_degC:.0f} degC (limit {joint.temperature.upper:.0f} degC)"
     remedy = "let it cool; check the load and the fan"
-    return Fault("over_temperature", joint.name, said, remedy, Reaction.CONTROLLED)
+    return Fault("over_temperature", joint.name, message, remedy, Reaction.CONTROLLED)
 
 
 class MotorCountWatch:

@@ -135,7 +135,7 @@ class Cycle(ArmState):
         if paused_s > 0.0:  # the boards have moved on with their last command
             q_set_rad = [q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)]
         is_controlled = self.is_controlled()
-        found = watch.look(
+        faults = watch.look(
             self.now_s,
             self.parts.hardware.feedback,
             measured.q_rad,
@@ -146,7 +146,7 @@ class Cycle(ArmState):
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
             Expectation(self.drives.is_ready, self.monitor.is_homed, is_controlled and self.bridge is None),
         )
-        for fault in (*found, *self._contradictions(), *self._at_limit_switches()):
+        for fault in (*faults, *self._contradictions(), *self._at_limit_switches()):
             self.fail(fault)
 
     def _at_limit_switches(self) -> list[Fault]:

@@ -128,25 +128,25 @@ class Neighbours:
         if is_clear and not self._others:
             return ""
         wanted, here = body.at(wanted_rad), None
-        for other in self._others:
-            if other.now is None:
+        for neighbour in self._others:
+            if neighbour.now is None:
                 continue
-            later = other.later if looks_ahead and other.later is not other.now else None
-            for capsules in (other.now,) if later is None else (other.now, later):
-                nearest = self.gap(body, wanted, other, capsules, self.clearance_m)
+            later = neighbour.later if looks_ahead and neighbour.later is not neighbour.now else None
+            for capsules in (neighbour.now,) if later is None else (neighbour.now, later):
+                nearest = self.gap(body, wanted, neighbour, capsules, self.clearance_m)
                 if nearest.gap_m < self.clearance_m:
                     here = here or body.at(here_rad)
-                    if nearest.gap_m < self.gap(body, here, other, capsules, FAR_m).gap_m - DEEPER_m:
-                        return f"the arm would come within {nearest.gap_m:.3f} m of arm {other.name!r}"
+                    if nearest.gap_m < self.gap(body, here, neighbour, capsules, FAR_m).gap_m - DEEPER_m:
+                        return f"the arm would come within {nearest.gap_m:.3f} m of arm {neighbour.name!r}"
         if is_clear:
             return ""
-        own = least_gap(wanted, wanted, body.own_pairs, ROOM_m)
-        if own.gap_m > 0.0:
-            clear.note(wanted_rad, min(own.gap_m, ROOM_m))
-        elif own.gap_m < 0.0:
+        with_itself = least_gap(wanted, wanted, body.own_pairs, ROOM_m)
+        if with_itself.gap_m > 0.0:
+            clear.note(wanted_rad, min(with_itself.gap_m, ROOM_m))
+        elif with_itself.gap_m < 0.0:
             here = here or body.at(here_rad)
-            if own.gap_m < least_gap(here, here, body.own_pairs, FAR_m).gap_m - DEEPER_m:
-                return f"{body.names[own.one]} of the arm would meet its own {body.names[own.other]}"
+            if with_itself.gap_m < least_gap(here, here, body.own_pairs, FAR_m).gap_m - DEEPER_m:
+                return f"{body.names[with_itself.one]} of the arm would meet its own {body.names[with_itself.other]}"
         return ""
 
     def require_clear(self, motion: Motion, together: Mapping[str, Motion] | None = None) -> None:
@@ -154,51 +154,51 @@ class Neighbours:
 
         The others go on with their own motions, or begin those of `together` (by name) at the same time.
         """
-        for other in self._others:
-            if other.now is None:
+        for neighbour in self._others:
+            if neighbour.now is None:
                 raise ArmError(
-                    f"arm {other.name!r} is not homed, so its pose is unknown: home it first"
-                    f" (`armwright home --arm {other.name}`); jogs are free"
+                    f"arm {neighbour.name!r} is not homed, so its pose is unknown: home it first"
+                    f" (`armwright home --arm {neighbour.name}`); jogs are free"
                 )
-        _Sweep(self, copy.copy(motion), [other.going_on(together or {}) for other in self._others]).run()
+        _Sweep(self, copy.copy(motion), [neighbour.going_on(together or {}) for neighbour in self._others]).run()
 
     def state(self, time_s: float, motion: Motion, others: Sequence[GoingOn]) -> "_State":
         """The arms `time_s` after the motion's beginning, and how near they are to each other."""
         body = self._own.body
-        own = body.at(motion.at(time_s).q_rad)
+        capsules_here = body.at(motion.at(time_s).q_rad)
         least, what, where = FAR.gap_m, "", (0.0, 0.0, 0.0)
         all_others: list[Capsules] = []
-        for other, going_on in zip(self._others, others, strict=True):
-            capsules = other.at(going_on, time_s) or ()
+        for neighbour, going_on in zip(self._others, others, strict=True):
+            capsules = neighbour.at(going_on, time_s) or ()
             all_others.append(capsules)
-            nearest = self.gap(body, own, other, capsules, FAR_m)
+            nearest = self.gap(body, capsules_here, neighbour, capsules, FAR_m)
             if nearest.gap_m - self.clearance_m < least:
                 least = nearest.gap_m - self.clearance_m
                 what = (
                     f"{body.names[nearest.one]} would come within {nearest.gap_m:.3f} m of"
-                    f" {other.body.names[nearest.other]} of arm {other.name!r}"
+                    f" {neighbour.body.names[nearest.other]} of arm {neighbour.name!r}"
                 )
-                where = middle(own[nearest.one], capsules[nearest.other])
-        if body.own_pairs and (nearest := least_gap(own, own, body.own_pairs, FAR_m)).gap_m < least:
+                where = middle(capsules_here[nearest.one], capsules[nearest.other])
+        if body.own_pairs and (nearest := least_gap(capsules_here, capsules_here, body.own_pairs, FAR_m)).gap_m < least:
             least = nearest.gap_m
             what = f"{body.names[nearest.one]} would meet its own {body.names[nearest.other]}"
-            where = middle(own[nearest.one], own[nearest.other])
-        return _State(time_s, (own, *all_others), least, what, where)
+            where = middle(capsules_here[nearest.one], capsules_here[nearest.other])
+        return _State(time_s, (capsules_here, *all_others), least, what, where)
 
-    def gap(self, body: ArmBody, own: Capsules, other: Presence, capsules: Capsules, within_m: float) -> Nearest:
+    def gap(self, body: ArmBody, capsules_here: Capsules, neighbour: Presence, capsules: Capsules, within_m: float) -> Nearest:
         """How near a pose of this arm is to one of another."""
-        key = (body, other.body)
+        key = (body, neighbour.body)
         if key not in self._pairs:
             self._pairs[key] = pairs_between(*key)
-        return least_gap(own, capsules, self._pairs[key], within_m)
+        return least_gap(capsules_here, capsules, self._pairs[key], within_m)
 
 
 def guard_itself(arm: Arm, runtime: Runtime) -> Neighbours | None:
     """Guard an arm that stands alone against itself; None if none of its links can meet another. Not for arms of a cell."""
-    own = Presence(Placed(arm), runtime, 0.0)
-    if not own.body.own_pairs:
+    presence = Presence(Placed(arm), runtime, 0.0)
+    if not presence.body.own_pairs:
         return None
-    alone = Neighbours(own, (), 0.0)
+    alone = Neighbours(presence, (), 0.0)
     for tool in runtime.parts.tools.values():
         tool.guard.beside = alone
     return alone
@@ -214,19 +214,19 @@ class _State:
     ) -> None:
         self.time_s, self.arms, self.room_m, self.what, self.where = time_s, arms, room_m, what, where
 
-    def moved_m(self, other: "_State") -> float:
+    def moved_m(self, later: "_State") -> float:
         """How much nearer two arms can have come between two states: the ways of the fastest ends of their capsules."""
         ways = [
             max((_way_m(a, b) for a, b in zip(before, after, strict=True)), default=0.0)
-            for before, after in zip(self.arms, other.arms, strict=True)
+            for before, after in zip(self.arms, later.arms, strict=True)
         ]
         return ways[0] + max(ways[1:], default=0.0)
 
 
-def _way_m(one: Sequence[float], other: Sequence[float]) -> float:
+def _way_m(before: Sequence[float], after: Sequence[float]) -> float:
     """The longer way of the two ends of a capsule."""
-    x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
-    u, v, w = x + other[3] - one[3], y + other[4] - one[4], z + other[5] - one[5]
+    x, y, z = after[0] - before[0], after[1] - before[1], after[2] - before[2]
+    u, v, w = x + after[3] - before[3], y + after[4] - before[4], z + after[5] - before[5]
     return math.sqrt(max(x * x + y * y + z * z, u * u + v * v + w * w))
 
 
@@ -287,12 +287,12 @@ class CollisionWatch:
         self._presences = [Presence(placed, runtimes[placed.name], cell.tool_length_m) for placed in cell.arms]
         self._clearance_m = cell.clearance_m
         self.of_arms = {
-            own.name: Neighbours(own, [one for one in self._presences if one is not own], cell.clearance_m)
-            for own in self._presences
+            presence.name: Neighbours(presence, [one for one in self._presences if one is not presence], cell.clearance_m)
+            for presence in self._presences
         }
-        for own in self._presences:
-            for tool in own.runtime.parts.tools.values():
-                tool.guard.beside = self.of_arms[own.name]
+        for presence in self._presences:
+            for tool in presence.runtime.parts.tools.values():
+                tool.guard.beside = self.of_arms[presence.name]
 
     def look(self) -> None:
         """Follow all arms, and stop those whose motions lead too near to another arm."""
@@ -302,22 +302,22 @@ class CollisionWatch:
             except Exception as error:  # an arm whose way is not known must not go on
                 presence.later = presence.now
                 presence.runtime.fail(_lost(error))
-        for k, one in enumerate(self._presences):
-            for other in self._presences[k + 1 :]:
-                self._hold_apart(one, other)
+        for k, first in enumerate(self._presences):
+            for second in self._presences[k + 1 :]:
+                self._hold_apart(first, second)
 
-    def _hold_apart(self, one: Presence, other: Presence) -> None:
-        moving = [arm for arm in (one, other) if arm.runtime.monitor.mode is Mode.MOVING]
-        if not moving or one.later is None or other.later is None or one.now is None or other.now is None:
+    def _hold_apart(self, first: Presence, second: Presence) -> None:
+        moving = [arm for arm in (first, second) if arm.runtime.monitor.mode is Mode.MOVING]
+        if not moving or first.later is None or second.later is None or first.now is None or second.now is None:
             return
-        neighbours = self.of_arms[one.name]
-        later = neighbours.gap(one.body, one.later, other, other.later, self._clearance_m)
+        neighbours = self.of_arms[first.name]
+        later = neighbours.gap(first.body, first.later, second, second.later, self._clearance_m)
         if later.gap_m >= self._clearance_m:
             return
-        if later.gap_m >= neighbours.gap(one.body, one.now, other, other.now, FAR_m).gap_m - DEEPER_m:
+        if later.gap_m >= neighbours.gap(first.body, first.now, second, second.now, FAR_m).gap_m - DEEPER_m:
             return  # they part
         for arm in moving:
-            beside = other if arm is one else one
+            beside = second if arm is first else first
             arm.runtime.fail(
                 Fault(
                     "collision",

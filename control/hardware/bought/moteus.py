@@ -68,13 +68,13 @@ def _require_settings(board: Moteus, drive: Drive) -> str:
     WrongIdentity where what is stored in the board contradicts arm.toml, or what is commanded here.
     """
     try:
-        found = {setting: board.setting(setting.name) for setting in SETTINGS}
+        stored = {setting: board.setting(setting.name) for setting in SETTINGS}
         kv, turns = board.setting("motor.Kv"), board.setting("motor_position.rotor_to_output_ratio")
     except BoardSilent:
         return "; its console is silent: look at " + ", ".join(setting.name for setting in SETTINGS)
     wrong = [
         f"expected {setting.name} {setting.expected}, it is {value:g}"
-        for setting, value in found.items()
+        for setting, value in stored.items()
         if not (math.isnan(value) or setting.is_right(value, drive))
     ]
     given_Nm_A, kv_of_joint = drive.torque_constant_Nm_A, kv * turns
@@ -83,7 +83,7 @@ def _require_settings(board: Moteus, drive: Drive) -> str:
         wrong.append(f"its motor.Kv {kv:g} makes {its_own_Nm_A:.3g} N m/A, torque_constant_Nm_A is {given_Nm_A:g}")
     if wrong:
         raise WrongIdentity(f"{board.where}: {'; '.join(wrong)}: correct it in tview (then `conf write`) or in arm.toml")
-    unknown = [setting.name for setting, value in found.items() if math.isnan(value)]
+    unknown = [setting.name for setting, value in stored.items() if math.isnan(value)]
     return f"; it does not say {', '.join(unknown)}" if unknown else ""
 
 
@@ -180,10 +180,10 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
         board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
         is_absolute = arm.has_absolute_encoder(drive)
         of_rotor = wire.REFERENCED_TO_ROTOR if arm.turn_of_home_rad(drive) else 0
-        said = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
+        identity = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
         unsaid = _require_settings(board, drive)
         encoder = own_encoder(board, joint, drive, opened, is_absolute, is_asked=True)
         opened.drives.append(MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s))
-        opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V{unsaid}"))
+        opened.identities.append((board.where, f"{identity}, supply {board.supply_V:.1f} V{unsaid}"))
 
     open_nodes(arm, boards, clock, opened, "moteus controllers", open_fd_can, MoteusBus, open_one)

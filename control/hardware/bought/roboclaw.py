@@ -230,20 +230,20 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
 
     def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
         line = PacketLine(link, clock)
-        found: list[RoboClaw] = []
+        claws: list[RoboClaw] = []
         for described in on_it:
             with collect(opened.failures):
-                found.append(_open_board(arm, described, line, opened))
+                claws.append(_open_board(arm, described, line, opened))
 
         def post_cycle() -> None:
-            for board in found:
+            for board in claws:
                 if board.is_commanded:
                     board.post_duties()
             line.post_starved()
-            for board in found:
+            for board in claws:
                 board.post_cycle()
 
-        return PolledBoards(line, found, post_cycle)
+        return PolledBoards(line, claws, post_cycle)
 
     remedy = "raise the baud rate, or give each board a line of its own (USB)"
     open_lines(boards, opened, period_s, "RoboClaw", remedy, cycle_s, open_on)
@@ -277,9 +277,9 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
         line.keep_asking(board.counts_question)
     for joints in (range(arm.joint_count), range(arm.joint_count, len(arm.drives))):  # the gripper's apart
         mine = {joint: drive for joint, drive in driven.items() if joint in joints}
-        own = {joint: drive for joint, drive in counted.items() if joint in joints}
-        if own:
-            opened.encoders.append(RoboClawEncoders(board, own))
+        counted_here = {joint: drive for joint, drive in counted.items() if joint in joints}
+        if counted_here:
+            opened.encoders.append(RoboClawEncoders(board, counted_here))
         if mine:
             opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
     for drive in driven.values():

@@ -104,7 +104,7 @@ def _require_settings(board: Vesc, watchdog_s: float) -> str:
     stored = board.settings
     if stored is None:
         return f"settings unread: its time-out must be {watchdog_s:g} s at most, with a brake current, and no application"
-    for is_right, expected, found in (
+    for is_right, expected, stored_value in (
         (0.0 < stored.timeout_s <= watchdog_s, f"a time-out up to {watchdog_s:g} s", f"{stored.timeout_s:g} s"),
         (stored.brake_A > 0.0, "a brake current after it", f"{stored.brake_A:g} A: the motor is free then"),
         (
@@ -114,7 +114,9 @@ def _require_settings(board: Vesc, watchdog_s: float) -> str:
         ),
     ):
         if not is_right:
-            raise WrongIdentity(f"{board.where}: expected {expected}, it is {found}: set it in VESC Tool (App Settings, General)")
+            raise WrongIdentity(
+                f"{board.where}: expected {expected}, it is {stored_value}: set it in VESC Tool (App Settings, General)"
+            )
     return f"time-out {stored.timeout_s:g} s, then {stored.brake_A:g} A"
 
 
@@ -136,11 +138,11 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
         if drive.pid.mode == "position":
             _require_one_turn(board, drive)
         silent = board.identify()
-        told = _require_settings(board, arm.limits.watchdog_s) + silent
+        settings = _require_settings(board, arm.limits.watchdog_s) + silent
         encoder = own_encoder(board, joint, drive, opened)
         board.is_counted = encoder is not None
         opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
-        said = f"{told}, fault code {board.fault}, supply {board.supply_V:.1f} V"
+        said = f"{settings}, fault code {board.fault}, supply {board.supply_V:.1f} V"
         opened.identities.append((board.where, said))
 
     open_nodes(arm, boards, clock, opened, "VESCs", open_extended_can, VescBus, open_one)
