@@ -117,17 +117,17 @@ def write_dataset(episodes: Iterable[Episode], rate_Hz: int, task: str, out: Pat
     arrow = _arrow()
     if out.exists():
         raise ArmError(f"{out} exists already and is never overwritten: choose another --out")
-    found = list(episodes)
-    if not found:
+    runs = list(episodes)
+    if not runs:
         raise ArmError("the recordings hold no motion: an episode is a run in which the arm moved")
-    for episode in found:
-        if (episode.arm.name, episode.arm.joint_count) != (found[0].arm.name, found[0].arm.joint_count):
+    for episode in runs:
+        if (episode.arm.name, episode.arm.joint_count) != (runs[0].arm.name, runs[0].arm.joint_count):
             raise ArmError(
-                f"expected one arm, got {found[0].arm.name} ({found[0].source}) and {episode.arm.name} ({episode.source}): make a"
+                f"expected one arm, got {runs[0].arm.name} ({runs[0].source}) and {episode.arm.name} ({episode.source}): make a"
                 " dataset of each, or give the arm of all with --arm"
             )
-    make_whole_folder(out, lambda folder: _write(arrow, folder, found, rate_Hz, task))
-    return len(found), sum(map(len, found))
+    make_whole_folder(out, lambda folder: _write(arrow, folder, runs, rate_Hz, task))
+    return len(runs), sum(map(len, runs))
 
 
 def _write(arrow: Any, out: Path, episodes: Sequence[Episode], rate_Hz: int, task: str) -> None:
@@ -215,10 +215,10 @@ def _frames(episodes: Sequence[Episode], rate_Hz: int) -> list[Frames]:
 
 def statistics(frames: Frames) -> Statistics:
     """LeRobot's statistics of each feature over the frames."""
-    found: Statistics = {}
+    by_feature: Statistics = {}
     for name, values in frames.items():
         columns = values.reshape(len(values), -1).astype(np.float64)
-        found[name] = {
+        by_feature[name] = {
             "min": columns.min(axis=0).tolist(),
             "max": columns.max(axis=0).tolist(),
             "mean": columns.mean(axis=0).tolist(),
@@ -226,7 +226,7 @@ def statistics(frames: Frames) -> Statistics:
             "count": [len(columns)],
             **{key: np.quantile(columns, share, axis=0).tolist() for key, share in QUANTILES.items()},
         }
-    return found
+    return by_feature
 
 
 def _about_episode(frames: Frames, task: str, place: dict[str, int]) -> dict[str, Any]:

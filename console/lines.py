@@ -80,21 +80,21 @@ class Grammar:
         name, *rest = (words[:-1] if in_background else words) or [BACKGROUND]
         if in_background and name not in IN_BACKGROUND:
             raise LineError(f"{name}: `&` is only for motions: {', '.join(IN_BACKGROUND)}")
-        given = self._parser(name).parse_args(rest)
-        self._check_arm(name, given)
-        given.command, given.module, given.waits = name, self._specs[name].module_name, not in_background
+        args = self._parser(name).parse_args(rest)
+        self._check_arm(name, args)
+        args.command, args.module, args.waits = name, self._specs[name].module_name, not in_background
         text = shlex.join([name, *rest]) + (f" {BACKGROUND}" if in_background else "")
-        return ParsedLine(text, name, given)
+        return ParsedLine(text, name, args)
 
-    def _check_arm(self, name: str, given: argparse.Namespace) -> None:
+    def _check_arm(self, name: str, args: argparse.Namespace) -> None:
         """LineError for another arm: lines share one runtime, and a motion planned for another arm must not run on it."""
         if name not in self._moving:
             return
         for key in ("arm", "socket"):
             wanted = self._defaults.get(key)
-            if key in self._defaults and getattr(given, key, wanted) != wanted:
+            if key in self._defaults and getattr(args, key, wanted) != wanted:
                 raise LineError(
-                    f"{name}: --{key} {getattr(given, key)}, but all lines use --{key} {wanted or 'of the arm'}: omit it"
+                    f"{name}: --{key} {getattr(args, key)}, but all lines use --{key} {wanted or 'of the arm'}: omit it"
                 )
 
     def _parser(self, name: str) -> argparse.ArgumentParser:

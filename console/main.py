@@ -105,27 +105,27 @@ def _chosen(arguments: Sequence[str] | None) -> int | tuple["options.Command", a
     """The command to run and its arguments, or an exit status where there is none to run."""
     prepare_streams()
     top = parser()
-    given, unknown = top.parse_known_args(arguments)
+    args, unknown = top.parse_known_args(arguments)
     if unknown:
-        is_arm = "arm" in given and any(word.endswith(".toml") for word in unknown)
+        is_arm = "arm" in args and any(word.endswith(".toml") for word in unknown)
         remedy = ": the arm's file follows --arm" if is_arm else ""
-        _usage_of(top, given.command).error(f"unrecognized arguments: {' '.join(unknown)}{remedy}")
-    if lack := options.missing(_OPTIONS.get(given.command, ()), given):
-        _usage_of(top, given.command).error(lack)
-    if given.version:
+        _usage_of(top, args.command).error(f"unrecognized arguments: {' '.join(unknown)}{remedy}")
+    if lack := options.missing(_OPTIONS.get(args.command, ()), args):
+        _usage_of(top, args.command).error(lack)
+    if args.version:
         from importlib.metadata import version
 
         sys.stdout.write(f"armwright {version('armwright')}\n")
         return 0
-    if given.command is None:
+    if args.command is None:
         top.print_help()
         return 2
     # The matrices are small: with OpenBLAS threads, an identification takes three times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return options.runner(given.module, given.command), given
+    return options.runner(args.module, args.command), args
 
 
-def run(command: "options.Command", given: argparse.Namespace) -> int:
+def run(command: "options.Command", args: argparse.Namespace) -> int:
     """Run a command and convert exceptions to a message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
@@ -135,8 +135,8 @@ def run(command: "options.Command", given: argparse.Namespace) -> int:
     from hil_mocks.errors import MockError
 
     try:
-        options.settle_arm(given)
-        return command(given)
+        options.settle_arm(args)
+        return command(args)
     except (ArmFaulted, ArmLate, MotionStopped) as fault:
         return fail(str(fault), 1)
     except (ArmError, CalibrationError, LinkError, MockError) as error:

@@ -29,7 +29,7 @@ class CommandSpec:
     """One subcommand.
 
     `module` names the module that runs it, if its name differs from the command's: it is in a folder, or shared with
-    other commands, which `given.command` distinguishes.
+    other commands, which `args.command` distinguishes.
     """
 
     name: str
@@ -82,45 +82,45 @@ def option(usage: str, what: str, **details: Any) -> Option:
     return Option(flags, {"help": what, **details})
 
 
-def settle_arm(given: argparse.Namespace) -> None:
+def settle_arm(args: argparse.Namespace) -> None:
     """Use the user's default arm if none was given; `has_arm` says whether one was. ConfigError.
 
     An arm by a name that is no file and not supplied may be one that runs, as the arms of a cell: its runtime says its file.
     """
-    named: str | None = getattr(given, "arm", None)
-    given.has_arm = named not in (None, USERS_ARM)
+    named: str | None = getattr(args, "arm", None)
+    args.has_arm = named not in (None, USERS_ARM)
     if named == USERS_ARM:
         from console.user_config import default_arm
 
-        given.arm = default_arm()
-    elif named and Path(named).name == named and given.command not in ("serve", "stop"):
+        args.arm = default_arm()
+    elif named and Path(named).name == named and args.command not in ("serve", "stop"):
         from control.model.description import arm_names
         from control.server.channel import NoRuntime, SocketChannel, default_path
 
-        socket = getattr(given, "socket", None) or default_path(named)
+        socket = getattr(args, "socket", None) or default_path(named)
         if named in arm_names() or Path(named).exists() or not Path(socket).exists():
             return
         with contextlib.suppress(NoRuntime):
-            given.arm = SocketChannel(Path(socket)).request({"do": "arm"})["file"] or named
-            given.socket = str(socket)
+            args.arm = SocketChannel(Path(socket)).request({"do": "arm"})["file"] or named
+            args.socket = str(socket)
 
 
 def add(parser: argparse.ArgumentParser, options: Sequence[Option]) -> None:
     """Add the options to an argparse parser."""
-    for one in options:
-        parser.add_argument(*one.flags, **one.details)
+    for declared in options:
+        parser.add_argument(*declared.flags, **declared.details)
 
 
-def missing(options: Sequence[Option], given: argparse.Namespace) -> str:
+def missing(options: Sequence[Option], args: argparse.Namespace) -> str:
     """What a command demands beyond argparse's `required`, in words; empty if nothing is missing."""
-    for one in options:
-        if one.unless and _value(given, one.flags[0]) is None and _value(given, one.unless) in (None, False):
-            return f"the following arguments are required: {one.flags[0]} (only {one.unless} needs none)"
+    for declared in options:
+        if declared.unless and _value(args, declared.flags[0]) is None and _value(args, declared.unless) in (None, False):
+            return f"the following arguments are required: {declared.flags[0]} (only {declared.unless} needs none)"
     return ""
 
 
-def _value(given: argparse.Namespace, flag: str) -> object:
-    return getattr(given, flag.lstrip("-").replace("-", "_"))
+def _value(args: argparse.Namespace, flag: str) -> object:
+    return getattr(args, flag.lstrip("-").replace("-", "_"))
 
 
 USERS_ARM = ""  # default of --arm: the user's own (console.user_config)

@@ -21,69 +21,69 @@ from procedures.arm_sheet import missing, sheet, sheet_lines, warnings
 LEROBOT, PYTHON = "lerobot", "python"
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Print a summary of the file, or the keys that it may have; write it in another format, or write one from another format."""
-    if given.command == "arm" and given.keys is not None:
+    if args.command == "arm" and args.keys is not None:
         from control.model.reference import reference_text
 
-        sys.stdout.write(reference_text(given.keys))
+        sys.stdout.write(reference_text(args.keys))
         return 0
-    if given.command == "arm" and (given.from_urdf or given.from_mjcf):
-        return _imported(given)
-    arm = load_arm(given.arm)
-    if given.command == "export-arm":
+    if args.command == "arm" and (args.from_urdf or args.from_mjcf):
+        return _imported(args)
+    arm = load_arm(args.arm)
+    if args.command == "export-arm":
         own = {LEROBOT: _given_back, PYTHON: _compensation}
-        return own[given.export](arm, given) if given.export in own else _export(arm, given.export, Path(given.out))
-    if given.lerobot:
-        return _taken_over(arm, given)
-    found, absent = sheet(arm), missing(arm)
-    figures = {"figures": found, "warnings": list(warnings(found)), "missing": absent}
-    answer(given, summary(arm) | figures, "\n".join([described(arm), *sheet_lines(arm, found, absent)]))
+        return own[args.export](arm, args) if args.export in own else _export(arm, args.export, Path(args.out))
+    if args.lerobot:
+        return _taken_over(arm, args)
+    figures, absent = sheet(arm), missing(arm)
+    content = {"figures": figures, "warnings": list(warnings(figures)), "missing": absent}
+    answer(args, summary(arm) | content, "\n".join([described(arm), *sheet_lines(arm, figures, absent)]))
     return 0
 
 
-def _imported(given: argparse.Namespace) -> int:
+def _imported(args: argparse.Namespace) -> int:
     """An arm.toml from a model, with a default for all that the model does not hold."""
     from console.commands import new
 
-    if not given.out:
+    if not args.out:
         raise ArmError("--out: expected the arm.toml to write, got nothing")
-    return new.run(argparse.Namespace(**{**vars(given), "yes": True, "name": None, "like": None}))
+    return new.run(argparse.Namespace(**{**vars(args), "yes": True, "name": None, "like": None}))
 
 
-def _taken_over(arm: Arm, given: argparse.Namespace) -> int:
+def _taken_over(arm: Arm, args: argparse.Namespace) -> int:
     """The arm with the zeros and ranges of LeRobot's calibration, as a new file."""
     from calib.arm_import.lerobot import read_calibration, taken_over
 
-    if not given.out:
+    if not args.out:
         raise ArmError("--out: expected the arm.toml to write, got nothing")
-    changed, notes = taken_over(arm, read_calibration(Path(given.lerobot)))
-    save_arm(changed, Path(given.out))
-    return _told(f"{given.out}: arm {arm.name} with the zeros and ranges of {given.lerobot}", notes)
+    changed, notes = taken_over(arm, read_calibration(Path(args.lerobot)))
+    save_arm(changed, Path(args.out))
+    return _told(f"{args.out}: arm {arm.name} with the zeros and ranges of {args.lerobot}", notes)
 
 
-def _given_back(arm: Arm, given: argparse.Namespace) -> int:
+def _given_back(arm: Arm, args: argparse.Namespace) -> int:
     """LeRobot's calibration with the zeros that were identified."""
     from calib.arm_import.lerobot import given_back, read_calibration
     from calib.export import write_new
 
-    if not given.lerobot:
+    if not args.lerobot:
         raise ArmError("--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept")
-    generic = load_arm(given.generic) if given.generic else arm
-    motors, notes = given_back(arm, read_calibration(Path(given.lerobot)), generic)
-    write_new(Path(given.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
-    return _told(f"{given.out}: arm {arm.name}, as LeRobot's calibration", notes)
+    generic = load_arm(args.generic) if args.generic else arm
+    motors, notes = given_back(arm, read_calibration(Path(args.lerobot)), generic)
+    write_new(Path(args.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
+    return _told(f"{args.out}: arm {arm.name}, as LeRobot's calibration", notes)
 
 
-def _compensation(arm: Arm, given: argparse.Namespace) -> int:
+def _compensation(arm: Arm, args: argparse.Namespace) -> int:
     """The function that makes a program that knows the published arm go where it wants."""
     from calib.export import write_new
     from calib.export.formats import omitted, python_text
 
-    if not given.generic:
+    if not args.generic:
         raise ArmError("--export python: give the arm that the program plans with, such as --generic so101")
-    write_new(Path(given.out), python_text(arm, load_arm(given.generic)))
-    return _told(f"{given.out}: arm {arm.name}, for programs that plan with {given.generic}", omitted(arm))
+    write_new(Path(args.out), python_text(arm, load_arm(args.generic)))
+    return _told(f"{args.out}: arm {arm.name}, for programs that plan with {args.generic}", omitted(arm))
 
 
 def _told(what: str, notes: Sequence[str]) -> int:
@@ -122,10 +122,10 @@ def described(arm: Arm) -> str:
         rows.append((str(number), link.joint, *figures))
     drives = f"{arm.joint_count} joints, {len(arm.drives)} drives, {arm.dh_convention} DH"
     lines = [f"arm {arm.name} ({arm.path}): {drives}", aligned(rows, left=2)]
-    for one in arm.effects:
-        where = "" if one.joint is None else f" of {place_of(one.effect)} {one.joint}"
-        values = ", ".join(f"{name} {value:.4g}" for name, value in one.parameters.items())
-        lines.append(f"effect {one.effect}{where}: {values}")
+    for effect in arm.effects:
+        where = "" if effect.joint is None else f" of {place_of(effect.effect)} {effect.joint}"
+        values = ", ".join(f"{name} {value:.4g}" for name, value in effect.parameters.items())
+        lines.append(f"effect {effect.effect}{where}: {values}")
     if arm.calibration:
         lines.append(f"calibrated from {arm.calibration.source} on {arm.calibration.date} ({arm.calibration.objective})")
     return "\n".join(lines)

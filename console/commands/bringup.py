@@ -46,40 +46,40 @@ SHOWN = (  # figures of a joint, what they are called, and the factor from SI
 )
 
 
-def run_bringup(given: argparse.Namespace) -> int:
+def run_bringup(args: argparse.Namespace) -> int:
     """Measure, then write the new arm.toml."""
-    out = Path(given.out)
+    out = Path(args.out)
     require_new(out.parent, [out.name])
-    if not 0.02 <= given.speed <= FASTEST_rad_s:
-        raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")
-    with opened(given) as setting:
+    if not 0.02 <= args.speed <= FASTEST_rad_s:
+        raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {args.speed:g}")
+    with opened(args) as setting:
         journal = Journal(out.with_suffix(".bringup.json"), setting.draft)
-        options = _options(given, setting.draft, journal)
-        with _operator(given, setting) as operator:
+        options = _options(args, setting.draft, journal)
+        with _operator(args, setting) as operator:
             return _bring_up(setting, operator, journal, options, out)
 
 
-def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> BringupOptions:
+def _options(args: argparse.Namespace, arm: Arm, journal: Journal) -> BringupOptions:
     known = [drive.joint for drive in arm.drives]
-    wanted = given.joint or [joint for joint in known if joint not in journal.passed()]
+    wanted = args.joint or [joint for joint in known if joint not in journal.passed()]
     for joint in wanted:
         if joint not in known:
             raise ArmError(f"--joint {joint}: the draft has joints {', '.join(map(str, known))}")
-    if given.current is not None:
+    if args.current is not None:
         largest = min(drive.current_limit_A for drive in arm.drives)
-        if not 0.05 <= given.current <= largest:
-            raise ArmError(f"--current: expected 0.05 to {largest:g} A (the smallest current_limit_A), got {given.current:g}")
-    return BringupOptions(tuple(wanted), given.current, given.speed, not given.no_stops)
+        if not 0.05 <= args.current <= largest:
+            raise ArmError(f"--current: expected 0.05 to {largest:g} A (the smallest current_limit_A), got {args.current:g}")
+    return BringupOptions(tuple(wanted), args.current, args.speed, not args.no_stops)
 
 
 @contextlib.contextmanager
-def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[BringupOperator]:
+def _operator(args: argparse.Namespace, setting: Setting) -> Iterator[BringupOperator]:
     if setting.rig is not None:
         from procedures.bringup.workbench import MockOperator
 
         yield MockOperator(setting.rig)
         return
-    with TerminalOperator(given.yes) as operator:
+    with TerminalOperator(args.yes) as operator:
         yield operator
 
 
@@ -138,16 +138,16 @@ def figures_in_words(joint: int, result: Diagnosis) -> str:
 LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
 
 
-def run_tune(given: argparse.Namespace) -> int:
+def run_tune(args: argparse.Namespace) -> int:
     """Measure, design, test and write."""
-    out = Path(given.out)
+    out = Path(args.out)
     page = out.with_name(f"{out.stem}_report.html")
     require_new(out.parent, [out.name, page.name])
-    with opened(given) as setting:
-        options = _tuning_options(given, setting.draft)
+    with opened(args) as setting:
+        options = _tuning_options(args, setting.draft)
         try:
             require_loop(setting.draft, options.joints)
-            if setting.rig is None and not given.yes and not _may_swing(setting.draft, options):
+            if setting.rig is None and not args.yes and not _may_swing(setting.draft, options):
                 sys.stderr.write("armwright: cancelled; nothing moved\n")
                 return 2
             with Bar("tuning") as bar:
@@ -159,19 +159,19 @@ def run_tune(given: argparse.Namespace) -> int:
     return 0
 
 
-def _tuning_options(given: argparse.Namespace, arm: Arm) -> TuningOptions:
+def _tuning_options(args: argparse.Namespace, arm: Arm) -> TuningOptions:
     known = [drive.joint for drive in arm.drives]
-    for joint in given.joint or ():
+    for joint in args.joint or ():
         if joint not in known:
             raise ArmError(f"--joint {joint}: the arm has joints {', '.join(map(str, known))}")
-    if given.bandwidth is not None and not LOWEST_Hz <= given.bandwidth <= HIGHEST_Hz:
-        raise ArmError(f"--bandwidth: expected {LOWEST_Hz:g} to {HIGHEST_Hz:g} Hz, got {given.bandwidth:g}")
-    if not 0.02 <= given.amplitude <= 0.8:
-        raise ArmError(f"--amplitude: expected 0.02 to 0.8 of the current limit, got {given.amplitude:g}")
-    if given.pose is not None and len(given.pose) != arm.joint_count:
-        raise ArmError(f"--pose: expected {arm.joint_count} joint angles in rad, got {len(given.pose)}")
-    pose = tuple(given.pose) if given.pose is not None else None
-    return TuningOptions(tuple(given.joint or tunable(arm)), given.bandwidth, given.amplitude, pose)
+    if args.bandwidth is not None and not LOWEST_Hz <= args.bandwidth <= HIGHEST_Hz:
+        raise ArmError(f"--bandwidth: expected {LOWEST_Hz:g} to {HIGHEST_Hz:g} Hz, got {args.bandwidth:g}")
+    if not 0.02 <= args.amplitude <= 0.8:
+        raise ArmError(f"--amplitude: expected 0.02 to 0.8 of the current limit, got {args.amplitude:g}")
+    if args.pose is not None and len(args.pose) != arm.joint_count:
+        raise ArmError(f"--pose: expected {arm.joint_count} joint angles in rad, got {len(args.pose)}")
+    pose = tuple(args.pose) if args.pose is not None else None
+    return TuningOptions(tuple(args.joint or tunable(arm)), args.bandwidth, args.amplitude, pose)
 
 
 def _may_swing(arm: Arm, options: TuningOptions) -> bool:
@@ -208,25 +208,25 @@ def _written(result: TuningResult, draft: Arm, out: Path, page: Path) -> None:
 LONGEST_S = 600.0
 
 
-def run_doctor(given: argparse.Namespace) -> int:
+def run_doctor(args: argparse.Namespace) -> int:
     """Check everything and print the findings."""
-    if not 0.1 <= given.seconds <= LONGEST_S:
-        raise ArmError(f"--seconds: expected 0.1 to {LONGEST_S:g}, got {given.seconds:g}")
-    if given.rate is not None and not 20.0 <= given.rate <= 1200.0:
-        raise ArmError(f"--rate: expected 20 to 1200 Hz, got {given.rate:g}")
-    with opened(given) as setting, _recordings(given) as log_folder:
-        rate_Hz = given.rate or setting.arm.usual_rate_Hz
-        findings = examine(setting.arm, setting.clock, 1.0 / rate_Hz, given.seconds, log_folder)
+    if not 0.1 <= args.seconds <= LONGEST_S:
+        raise ArmError(f"--seconds: expected 0.1 to {LONGEST_S:g}, got {args.seconds:g}")
+    if args.rate is not None and not 20.0 <= args.rate <= 1200.0:
+        raise ArmError(f"--rate: expected 20 to 1200 Hz, got {args.rate:g}")
+    with opened(args) as setting, _recordings(args) as log_folder:
+        rate_Hz = args.rate or setting.arm.usual_rate_Hz
+        findings = examine(setting.arm, setting.clock, 1.0 / rate_Hz, args.seconds, log_folder)
     name = setting.arm.name
-    answer(given, as_json(name, findings), f"{as_text(findings)}\narm {name}: {verdict(findings)}")
+    answer(args, as_json(name, findings), f"{as_text(findings)}\narm {name}: {verdict(findings)}")
     return 1 if worst(findings) is Level.BAD else 0
 
 
 @contextmanager
-def _recordings(given: argparse.Namespace) -> Iterator[Path]:
+def _recordings(args: argparse.Namespace) -> Iterator[Path]:
     """The folder that is meant. A mock arm has an empty one, for the recordings in `log` are of another arm."""
-    if given.log is not None or not given.mock:
-        yield Path(given.log or "log")
+    if args.log is not None or not args.mock:
+        yield Path(args.log or "log")
         return
     with tempfile.TemporaryDirectory(prefix="armwright-doctor-") as made:
         yield Path(made)
@@ -238,8 +238,8 @@ def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_fold
     findings += look_at_last_recording(log_folder) + look_at_ports() + look_at_links(arm)
     boards = open_boards(arm, clock, period_s)
     try:
-        found = list(judge(sample(boards, clock, period_s, duration_s), arm))
+        judged = list(judge(sample(boards, clock, period_s, duration_s), arm))
     finally:
         boards.close()
     findings += boards.findings
-    return findings + sorted(found, key=lambda finding: finding.group == "signals")
+    return findings + sorted(judged, key=lambda finding: finding.group == "signals")

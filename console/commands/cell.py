@@ -41,28 +41,28 @@ KEEP = "keep"  # instead of a file of offsets
 TO_START_SPEED = 0.5  # of the joints' limits, to the first way-points
 
 
-def run_together(given: argparse.Namespace) -> int:
+def run_together(args: argparse.Namespace) -> int:
     """Plan for each arm, move to the first way-points, then begin all at once; returns when all have arrived."""
-    targets, files = _targets(given), dict(given.run or ())
-    besides = {name: (other, file) for name, other, file in given.beside or ()}
-    names = tuple(name for name, *_ in (*(given.to or ()), *(given.run or ()), *(given.beside or ())))
+    targets, files = _targets(args), dict(args.run or ())
+    besides = {name: (leader, file) for name, leader, file in args.beside or ()}
+    names = tuple(name for name, *_ in (*(args.to or ()), *(args.run or ()), *(args.beside or ())))
     if len(names) < 2 or len(set(names)) < len(names):
         got = ", ".join(names) or "none"
         raise ArmError(f"together: expected one --to, --run or --beside for each of two arms or more, got {got}")
-    with connected_arms(given, names) as clients:
-        cell = _with_tools(load_cell(given.cell), clients)
+    with connected_arms(args, names) as clients:
+        cell = _with_tools(load_cell(args.cell), clients)
         paths = {name: _planned(cell, name, file, clients[name]) for name, file in files.items()}
-        motions = {name: _joint_move(cell, name, q, given.speed, clients) for name, q in targets.items()}
+        motions = {name: _joint_move(cell, name, q, args.speed, clients) for name, q in targets.items()}
         motions |= {name: path.joints for name, path in paths.items()}
-        for name, (other, file) in besides.items():
-            paths[name] = _beside(cell, name, other, file, motions, clients)
+        for name, (leader, file) in besides.items():
+            paths[name] = _beside(cell, name, leader, file, motions, clients)
             motions[name] = paths[name].joints
         if paths:
-            with shown(clients[names[0]], given, "together: to the first way-points"):
+            with shown(clients[names[0]], args, "together: to the first way-points"):
                 _start(clients, {name: _move(path.q_start_rad, TO_START_SPEED) for name, path in paths.items()})
-        moves = {name: _move(q_rad, given.speed) for name, q_rad in targets.items()}
+        moves = {name: _move(q_rad, args.speed) for name, q_rad in targets.items()}
         moves |= {name: {"path": path.to_message(), "tool": clients[name].status()["tool"]} for name, path in paths.items()}
-        with shown(clients[names[0]], given):
+        with shown(clients[names[0]], args):
             _start(clients, moves)
     return 0
 
@@ -79,28 +79,28 @@ def _joint_move(cell: Cell, name: str, q_rad: tuple[float, ...], speed: float, c
 
 
 def _beside(
-    cell: Cell, name: str, other: str, file: str, motions: Mapping[str, Motion], clients: Mapping[str, ArmClient]
+    cell: Cell, name: str, leader: str, file: str, motions: Mapping[str, Motion], clients: Mapping[str, ArmClient]
 ) -> PlannedPath:
     """A path relative to the tip of another arm, which moves meanwhile; prints how long both take."""
-    if other == name or other not in motions:
+    if leader == name or leader not in motions:
         raise ArmError(
-            f"together: --beside {name} {other}: expected another arm with --to, --run, or a --beside before it, got {other!r}"
+            f"together: --beside {name} {leader}: expected another arm with --to, --run, or a --beside before it, got {leader!r}"
         )
-    offsets = read_waypoints(Path(file)) if file != KEEP else _present(cell, name, other, clients)
-    found = plan_beside(cell, name, other, motions[other], offsets, clients[name].status()["joint_rad"])
-    why = f", {found.slower:.2f} times as long as {other} alone{f': {found.limit}' if found.limit else ''}"
-    sys.stdout.write(f"{name}: beside {other}, {found.path.duration_s:.2f} s{why}\n")
+    offsets = read_waypoints(Path(file)) if file != KEEP else _present(cell, name, leader, clients)
+    plan = plan_beside(cell, name, leader, motions[leader], offsets, clients[name].status()["joint_rad"])
+    why = f", {plan.slower:.2f} times as long as {leader} alone{f': {plan.limit}' if plan.limit else ''}"
+    sys.stdout.write(f"{name}: beside {leader}, {plan.path.duration_s:.2f} s{why}\n")
     sys.stdout.flush()
-    return found.path
+    return plan.path
 
 
-def _present(cell: Cell, name: str, other: str, clients: Mapping[str, ArmClient]) -> Waypoints:
+def _present(cell: Cell, name: str, leader: str, clients: Mapping[str, ArmClient]) -> Waypoints:
     """The offset at which the tips are now."""
     tips = []
-    for arm in (name, other):
+    for arm in (name, leader):
         tip_m = clients[arm].status()["tip_set_m"]
         if tip_m is None:
-            raise ArmError(f"together: --beside {name} {other} {KEEP}: arm {arm!r} is not homed")
+            raise ArmError(f"together: --beside {name} {leader} {KEEP}: arm {arm!r} is not homed")
         tips.append(cell.placed(arm).in_cell(tip_m))
     (x, y, z), (u, v, w) = tips
     return Waypoints(((x - u, y - v, z - w),), None)
@@ -126,10 +126,10 @@ def _planned(cell: Cell, name: str, file: str, client: ArmClient) -> PlannedPath
     return path
 
 
-def _targets(given: argparse.Namespace) -> dict[str, tuple[float, ...]]:
+def _targets(args: argparse.Namespace) -> dict[str, tuple[float, ...]]:
     """The joint angles of each `--to`."""
     targets: dict[str, tuple[float, ...]] = {}
-    for name, *angles in given.to or ():
+    for name, *angles in args.to or ():
         try:
             targets[name] = tuple(finite(angle) for angle in angles)
         except argparse.ArgumentTypeError as error:
@@ -137,15 +137,15 @@ def _targets(given: argparse.Namespace) -> dict[str, tuple[float, ...]]:
     return targets
 
 
-def run_follow(given: argparse.Namespace) -> int:
+def run_follow(args: argparse.Namespace) -> int:
     """Follow until Enter or Ctrl-C, or until the follower is stopped."""
-    cell = load_cell(given.cell)
-    leader, follower = cell.placed(given.leader), cell.placed(given.follower)
+    cell = load_cell(args.cell)
+    leader, follower = cell.placed(args.leader), cell.placed(args.follower)
     if leader is follower:
         raise ArmError(f"follow: expected two arms, got {leader.name!r} twice")
     require_alike(leader, follower)
-    signs = mirror_signs(leader, follower) if given.mirrored else (1.0,) * follower.arm.joint_count
-    with connected_arms(given, (leader.name, follower.name)) as clients:
+    signs = mirror_signs(leader, follower) if args.mirrored else (1.0,) * follower.arm.joint_count
+    with connected_arms(args, (leader.name, follower.name)) as clients:
         following = Following(clients[leader.name], clients[follower.name], follower, signs)
         sys.stderr.write(
             f"arm {follower.name!r} follows arm {leader.name!r}: guide it by hand (`armwright guide --weightless --arm"
@@ -174,36 +174,36 @@ class _Steps:
 OF_BOTH = ("seat",)  # options that both kinds of session have
 
 
-def session_of_contacts(given: argparse.Namespace) -> int:
+def session_of_contacts(args: argparse.Namespace) -> int:
     """Start or resume a session of contacts, and run it until the operator ends it or all are done."""
     for name in (*(option for option in OPTIONS if option not in OF_BOTH), "socket"):
-        if getattr(given, name) is not None:
+        if getattr(args, name) is not None:
             raise SessionError(f"--{name} is for one arm at a board: with --cell, the contacts are in --contacts")
-    if given.has_arm:
+    if args.has_arm:
         raise SessionError("--arm is for one arm at a board: the arms are those of --cell")
-    cell = load_cell(given.cell)
-    names = pair_of(cell, given.arms)
-    identity, interface = _identity(cell, names), operator.Interface.of(given)
-    wanted = _wanted(given, cell, names, identity)
-    require_writable(Path(given.out))
-    if given.mock:
-        if given.scenario is not None:
-            load_scenario(given.scenario)
-        with _folder(given, wanted, identity) as folder:
+    cell = load_cell(args.cell)
+    names = pair_of(cell, args.arms)
+    identity, interface = _identity(cell, names), operator.Interface.of(args)
+    wanted = _wanted(args, cell, names, identity)
+    require_writable(Path(args.out))
+    if args.mock:
+        if args.scenario is not None:
+            load_scenario(args.scenario)
+        with _folder(args, wanted, identity) as folder:
             _introduce(folder, interface)
-            with mock_pair(cell, folder, given.scenario) as bench:
+            with mock_pair(cell, folder, args.scenario) as bench:
                 hand = MockPairHand(cell, names, bench) if folder.plan.seat == "hand" else None
                 station = pair_station(cell, names, bench.clients, 1.0, operator.last_s(folder), hand)
                 words = operator.ContactWords(folder.plan, names)
                 interface.conduct(folder, words, conduct(folder, station), hand is not None)
     else:
-        if (Path(given.out) / SCENARIO).exists():
-            raise SessionError(f"{given.out}: this session belongs to mock arms: add --mock")
-        with connected_arms(given, names) as clients:
+        if (Path(args.out) / SCENARIO).exists():
+            raise SessionError(f"{args.out}: this session belongs to mock arms: add --mock")
+        with connected_arms(args, names) as clients:
             for client in clients.values():
                 client.take_control()
             status = {name: operator.ready(clients[name], name) for name in names}[names[0]]
-            with _folder(given, wanted, identity) as folder:
+            with _folder(args, wanted, identity) as folder:
                 _introduce(folder, interface)
                 since_s = operator.since_start_s(folder, status)
                 station = pair_station(cell, names, clients, operator.SPEED, since_s)
@@ -212,8 +212,8 @@ def session_of_contacts(given: argparse.Namespace) -> int:
     return 0
 
 
-def _folder(given: argparse.Namespace, wanted: SessionPlan | None, identity: str) -> SessionFolder:
-    folder = SessionFolder(Path(given.out), wanted)
+def _folder(args: argparse.Namespace, wanted: SessionPlan | None, identity: str) -> SessionFolder:
+    folder = SessionFolder(Path(args.out), wanted)
     try:
         operator.require_same(folder, identity)
     except SessionError:
@@ -222,15 +222,15 @@ def _folder(given: argparse.Namespace, wanted: SessionPlan | None, identity: str
     return folder
 
 
-def _wanted(given: argparse.Namespace, cell: Cell, names: Names, identity: str) -> SessionPlan | None:
+def _wanted(args: argparse.Namespace, cell: Cell, names: Names, identity: str) -> SessionPlan | None:
     """The plan of the options; None if none is given, which resumes the session."""
-    if given.contacts is None:
-        if (Path(given.out) / PLAN).exists() and given.seat is None:
+    if args.contacts is None:
+        if (Path(args.out) / PLAN).exists() and args.seat is None:
             return None
         raise SessionError("--contacts: expected a file of planned contacts (`armwright plan-contacts --out FILE`)")
     arms = (cell.placed(names[0]).arm, cell.placed(names[1]).arm)
-    planned, _ = read_contacts(Path(given.contacts), arms)
-    plan = contact_plan(names, identity, planned, given.seat or "hand")
+    planned, _ = read_contacts(Path(args.contacts), arms)
+    plan = contact_plan(names, identity, planned, args.seat or "hand")
     plan.require_sound()
     return plan
 

@@ -34,11 +34,11 @@ WHERE: Final = {
 }
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Print the script; on a terminal, also how to install it."""
-    sys.stdout.write(script(given.shell))
+    sys.stdout.write(script(args.shell))
     if sys.stdout.isatty():
-        sys.stderr.write(f"\nTo install: {WHERE[given.shell]}\n")
+        sys.stderr.write(f"\nTo install: {WHERE[args.shell]}\n")
     return 0
 
 
@@ -55,14 +55,14 @@ def script(shell: str) -> str:
 
 
 def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    found = []
+    actions = []
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
-                found += _actions(sub)
+                actions += _actions(sub)
         elif action.nargs != 0 and not action.choices and action.type is None:
-            found.append(action)
-    return found
+            actions.append(action)
+    return actions
 
 
 def _completion(action: argparse.Action) -> dict[str, Any] | None:

@@ -15,39 +15,39 @@ from control.server.channel import SocketChannel, default_path
 from control.server.client import ArmClient
 
 
-def socket_path(given: argparse.Namespace, arm: Arm) -> Path:
+def socket_path(args: argparse.Namespace, arm: Arm) -> Path:
     """The socket of the command line, or the default socket of the arm."""
-    return Path(given.socket) if given.socket else default_path(arm.name)
+    return Path(args.socket) if args.socket else default_path(arm.name)
 
 
-def listening(given: argparse.Namespace) -> ArmClient:
+def listening(args: argparse.Namespace) -> ArmClient:
     """A client of the runtime, whatever arm it has; within a script, the script's own. RuntimeGone names what starts one."""
-    if (connect := getattr(given, "connect", None)) is not None:
+    if (connect := getattr(args, "connect", None)) is not None:
         client: ArmClient = connect()
         return client
-    if given.socket:
-        return ArmClient(SocketChannel(Path(given.socket)))
-    served_by = shlex.join(["armwright", "serve", "--arm", str(given.arm)])
-    return ArmClient(SocketChannel(default_path(load_arm(given.arm).name), served_by=served_by))
+    if args.socket:
+        return ArmClient(SocketChannel(Path(args.socket)))
+    served_by = shlex.join(["armwright", "serve", "--arm", str(args.arm)])
+    return ArmClient(SocketChannel(default_path(load_arm(args.arm).name), served_by=served_by))
 
 
-def connected(given: argparse.Namespace, arm: Arm | None = None) -> ArmClient:
+def connected(args: argparse.Namespace, arm: Arm | None = None) -> ArmClient:
     """As `listening`, for what depends on `arm` (that of the command line). AnotherArm if the runtime has another."""
-    client = listening(given)
-    client.require_arm(arm or load_arm(given.arm))
+    client = listening(args)
+    client.require_arm(arm or load_arm(args.arm))
     return client
 
 
-def in_control(given: argparse.Namespace) -> ArmClient:
+def in_control(args: argparse.Namespace) -> ArmClient:
     """As `connected`, for work of many steps: others may only watch and stop. RequestRefused if another has it."""
-    client = connected(given)
+    client = connected(args)
     client.take_control()
     return client
 
 
-def in_control_of(given: argparse.Namespace, *arms: Arm) -> ArmClient:
+def in_control_of(args: argparse.Namespace, *arms: Arm) -> ArmClient:
     """As `in_control`, for work that records poses of the tip of one of `arms`. ArmError if the runtime has another tool on."""
-    client = listening(given)
+    client = listening(args)
     status = client.status()
     arm = next((arm for arm in arms if fingerprint(arm) == status.get("fingerprint")), arms[0])
     client.require_arm(arm)
@@ -69,9 +69,9 @@ def with_present_tool(arm: Arm, client: ArmClient) -> Arm:
 
 
 @contextmanager
-def connected_arms(given: argparse.Namespace, names: tuple[str, ...]) -> Iterator[Mapping[str, ArmClient]]:
+def connected_arms(args: argparse.Namespace, names: tuple[str, ...]) -> Iterator[Mapping[str, ArmClient]]:
     """Clients of some arms of the command's cell. ArmError if they are not on one runtime."""
-    cell = load_cell(given.cell)
+    cell = load_cell(args.cell)
     clients: dict[str, ArmClient] = {}
     try:
         for name in names:

@@ -17,37 +17,37 @@ if TYPE_CHECKING:
     from console.screen.app import ArmAtDesk
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Run the screen until ctrl+q; the arm is held then."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ArmError("console: needs a terminal; `armwright script` runs files of commands")
     from console.screen.app import ConsoleApp
 
     os.environ.setdefault(CONTROL_KEY, secrets.token_hex(16))  # the commands that it starts are this operator's, too
-    ConsoleApp(_of_cell(given) if given.cell is not None else [_of_arm(given)]).run()
+    ConsoleApp(_of_cell(args) if args.cell is not None else [_of_arm(args)]).run()
     return 0
 
 
-def _of_arm(given: argparse.Namespace) -> "ArmAtDesk":
+def _of_arm(args: argparse.Namespace) -> "ArmAtDesk":
     from console.screen.app import ArmAtDesk, Files
 
-    arm = load_arm(given.arm)
-    socket = socket_path(given, arm)
-    files = Files(Path(given.places), Path(given.teach), Path(given.keep) if given.keep else None, Path(given.sessions))
-    return ArmAtDesk(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)})
+    arm = load_arm(args.arm)
+    socket = socket_path(args, arm)
+    files = Files(Path(args.places), Path(args.teach), Path(args.keep) if args.keep else None, Path(args.sessions))
+    return ArmAtDesk(arm, socket, files, {"--arm": args.arm, "--socket": str(socket)})
 
 
-def _of_cell(given: argparse.Namespace) -> "list[ArmAtDesk]":
+def _of_cell(args: argparse.Namespace) -> "list[ArmAtDesk]":
     """A station an arm. Each has files of its own: a place of one arm is another place for the next."""
     from console.screen.app import ArmAtDesk, Files
 
-    if given.socket is not None:
+    if args.socket is not None:
         raise ArmError("--socket: not together with --cell: every arm of a cell has its own")
     stations = []
-    for placed in load_cell(given.cell).arms:
+    for placed in load_cell(args.cell).arms:
         name, socket = placed.name, default_path(placed.name)
-        places, taught, sessions = (_own(path, name) for path in (given.places, given.teach, given.sessions))
-        files = Files(places, taught, _own(given.keep, name) if given.keep else None, sessions)
+        places, taught, sessions = (_own(path, name) for path in (args.places, args.teach, args.sessions))
+        files = Files(places, taught, _own(args.keep, name) if args.keep else None, sessions)
         shared = {"--arm": str(placed.arm.path or name), "--socket": str(socket)}
         stations.append(ArmAtDesk(placed.arm, socket, files, shared))
     return stations

@@ -32,20 +32,20 @@ ONLY = {"cell": "two-arms", "effect": "gap", "joint": "gap", "boards": "job"}
 NOT = {"realtime": ("gap", "camera", "two-arms"), "scenario": ("gap",), "has_arm": ("two-arms",)}
 
 
-def run_demo(given: argparse.Namespace) -> int:
+def run_demo(args: argparse.Namespace) -> int:
     """Run the demo and print its results."""
     for name, demo in ONLY.items():
-        if getattr(given, name) is not None and given.what != demo:
+        if getattr(args, name) is not None and args.what != demo:
             raise CalibrationError(f"--{name} is only for `armwright demo {demo}`")
     for name, demos in NOT.items():
-        if getattr(given, name) and given.what in demos:
-            raise CalibrationError(f"--{name.removeprefix('has_')} is not for `armwright demo {given.what}`, which has its own")
-    return {"gap": _gap, "camera": _camera, "two-arms": _two_arms}.get(given.what, _on_the_table)(given)
+        if getattr(args, name) and args.what in demos:
+            raise CalibrationError(f"--{name.removeprefix('has_')} is not for `armwright demo {args.what}`, which has its own")
+    return {"gap": _gap, "camera": _camera, "two-arms": _two_arms}.get(args.what, _on_the_table)(args)
 
 
-def _folder(given: argparse.Namespace, usual: str, scenario: bytes) -> Path:
+def _folder(args: argparse.Namespace, usual: str, scenario: bytes) -> Path:
     """The folder for the results, with the mock's scenario in it."""
-    out = free_folder(Path(given.out or usual))
+    out = free_folder(Path(args.out or usual))
     require_writable(out)
     out.mkdir(parents=True)
     write_whole(out / "scenario.toml", scenario)
@@ -57,20 +57,20 @@ def _say(sentences: Sequence[str], files: Mapping[str, object]) -> None:
     sys.stdout.write("\n".join(("", *sentences, "", where)) + "\n")
 
 
-def _on_the_table(given: argparse.Namespace) -> int:
+def _on_the_table(args: argparse.Namespace) -> int:
     """The full workflow, or the paper's experiment: home, move, record the table, calibrate, verify, report."""
-    conduct, usual, scenario = (_paper, "out/demo-paper", "paper") if given.what == "paper" else (_job, "out/demo", "demo")
-    arm, file = load_arm(given.arm), given.arm
-    if given.boards is not None:
-        arm = on_boards(arm, given.boards)
-    drawn = seeded_scenario(given.scenario or scenario, given.seed, was_homed=not arm.can_home)
-    out = _folder(given, usual, drawn)
-    if given.boards is not None:
+    conduct, usual, scenario = (_paper, "out/demo-paper", "paper") if args.what == "paper" else (_job, "out/demo", "demo")
+    arm, file = load_arm(args.arm), args.arm
+    if args.boards is not None:
+        arm = on_boards(arm, args.boards)
+    drawn = seeded_scenario(args.scenario or scenario, args.seed, was_homed=not arm.can_home)
+    out = _folder(args, usual, drawn)
+    if args.boards is not None:
         file = out / "arm.toml"
         save_arm(arm, file)
         arm = load_arm(str(file))
     hidden, log = out / "scenario.toml", out / "log"
-    bench: MockBench = RealTimeBench(file, hidden, log) if given.realtime else SteppedBench(arm, hidden, log)
+    bench: MockBench = RealTimeBench(file, hidden, log) if args.realtime else SteppedBench(arm, hidden, log)
     with closing(bench), Bar("demo") as bar:
         conduct(arm, bench, out, bar.advance)
     return 0
@@ -80,8 +80,8 @@ def _job(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> None:
     from calib.validation.verify import comparison_text
 
     outcome = job.run(arm, bench, out, advance)
-    found = comparison_text(outcome.verification)
-    write_whole(out / "verification.txt", found + "\n")
+    comparison = comparison_text(outcome.verification)
+    write_whole(out / "verification.txt", comparison + "\n")
     count = len(outcome.verification.point)
     files = {
         "report": outcome.report,
@@ -89,7 +89,7 @@ def _job(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> None:
         "points": out / "points.csv",
         "recordings": out / "log",
     }
-    _say((f"Tip error at {count} verification points that calibration did not use:", "", found), files)
+    _say((f"Tip error at {count} verification points that calibration did not use:", "", comparison), files)
 
 
 def _paper(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> None:
@@ -106,14 +106,14 @@ def _paper(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> None:
     _say((head, "", table, "", *findings(outcome.replay), widths), files)
 
 
-def _gap(given: argparse.Namespace) -> int:
+def _gap(args: argparse.Namespace) -> int:
     """Hide an effect, find it, add it to the model and correct it; exit status 1 if it was not found."""
     from procedures.demo import gap
 
-    seed = given.seed if given.seed is not None else GAP_SEED
-    hidden = gap.drawn(seed, given.effect, given.joint)
-    arm = gap.with_known_friction(load_arm(given.arm))
-    out = _folder(given, "out/demo-gap", gap.beyond_known(hidden, arm).as_scenario("gap", seed).encode())
+    seed = args.seed if args.seed is not None else GAP_SEED
+    hidden = gap.drawn(seed, args.effect, args.joint)
+    arm = gap.with_known_friction(load_arm(args.arm))
+    out = _folder(args, "out/demo-gap", gap.beyond_known(hidden, arm).as_scenario("gap", seed).encode())
     scenario = out / "scenario.toml"
     write_whole(scenario, seeded_scenario(str(scenario), seed, was_homed=not arm.can_home))
     save_arm(arm, out / "nominal.toml")
@@ -124,17 +124,17 @@ def _gap(given: argparse.Namespace) -> int:
     return 0 if circle.is_right else 1
 
 
-def _camera(given: argparse.Namespace) -> int:
+def _camera(args: argparse.Namespace) -> int:
     """Measure a mock arm with a webcam, calibrate it, compare with the truth."""
     from calib.vision.targets import opencv
     from procedures.demo import webcam
 
     opencv()
-    arm = load_arm(given.arm)
+    arm = load_arm(args.arm)
     if arm.name != "right":
         raise CalibrationError(f'demo camera: its camera stands before the reference arm; expected --arm right, got "{arm.name}"')
-    drawn = seeded_scenario(given.scenario or "demo", given.seed, was_homed=True)
-    out = _folder(given, "out/demo-camera", drawn)
+    drawn = seeded_scenario(args.scenario or "demo", args.seed, was_homed=True)
+    out = _folder(args, "out/demo-camera", drawn)
     with Bar("demo") as bar:
         outcome = webcam.run(arm, out / "scenario.toml", out, bar.advance)
     files = {
@@ -147,38 +147,38 @@ def _camera(given: argparse.Namespace) -> int:
     return 0
 
 
-def _two_arms(given: argparse.Namespace) -> int:
+def _two_arms(args: argparse.Namespace) -> int:
     """Calibrate a mock pair where its tips touch."""
     from procedures.demo import two_arms
 
-    cell = load_cell(given.cell or "pair")
-    drawn = seeded_scenario(given.scenario or "demo", given.seed, was_homed=False)
-    out = _folder(given, "out/demo-two-arms", drawn)
+    cell = load_cell(args.cell or "pair")
+    drawn = seeded_scenario(args.scenario or "demo", args.seed, was_homed=False)
+    out = _folder(args, "out/demo-two-arms", drawn)
     with Bar("demo") as bar:
         outcome = two_arms.run(cell, out / "scenario.toml", out, bar.advance)
     _say(two_arms.findings(outcome), {"report": two_arms.write_page(outcome, out), **outcome.files})
     return 0
 
 
-def run_mock(given: argparse.Namespace) -> int:
+def run_mock(args: argparse.Namespace) -> int:
     """Start the mock, write files that are wired to it, print how to connect, and wait."""
-    choose(given.firmware)
+    choose(args.firmware)
     with tempfile.TemporaryDirectory(prefix="armwright-") as folder:
-        if given.cell is not None:
-            return _cell(given, Path(folder))
-        arm = load_arm(given.arm)
-        with RealTimeRig(given.arm, given.scenario) as rig:
+        if args.cell is not None:
+            return _cell(args, Path(folder))
+        arm = load_arm(args.arm)
+        with RealTimeRig(args.arm, args.scenario) as rig:
             file = Path(folder) / f"{arm.name}.toml"
             save_arm(wired_to(arm, rig), file)
-            return _wait(rig, f"A mock of arm {arm.name!r} is", given.scenario, f"--arm {file}")
+            return _wait(rig, f"A mock of arm {arm.name!r} is", args.scenario, f"--arm {file}")
 
 
-def _cell(given: argparse.Namespace, folder: Path) -> int:
-    cell = load_cell(given.cell)
-    with RealTimeCell(given.cell, given.scenario) as rig:
+def _cell(args: argparse.Namespace, folder: Path) -> int:
+    cell = load_cell(args.cell)
+    with RealTimeCell(args.cell, args.scenario) as rig:
         wired = cell.with_arms([wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms])
         what = f"Mocks of the arms of cell {cell.name!r} ({', '.join(cell.names)}) are"
-        return _wait(rig, what, given.scenario, f"--cell {save_cell(wired, folder)}")
+        return _wait(rig, what, args.scenario, f"--cell {save_cell(wired, folder)}")
 
 
 def _wait(rig: MockProcess, what: str, scenario: str, option: str) -> int:
@@ -192,15 +192,15 @@ def _wait(rig: MockProcess, what: str, scenario: str, option: str) -> int:
     return 1
 
 
-def run_drill(given: argparse.Namespace) -> int:
+def run_drill(args: argparse.Namespace) -> int:
     """Run the drills; exit status 1 if a promise was not kept."""
-    if given.list:
+    if args.list:
         sys.stdout.write(listing(drills().values()) + "\n")
         return 0
-    if not given.mock:
+    if not args.mock:
         raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
-    choose(given.firmware)
-    chosen = list(drills().values()) if given.name is None else drills_named(given.name)
+    choose(args.firmware)
+    chosen = list(drills().values()) if args.name is None else drills_named(args.name)
     if len(chosen) == 1:
         outcome = chosen[0].run()
         sys.stdout.write(in_words(outcome) + "\n")

@@ -22,40 +22,40 @@ class Answer:
     is_failure: bool = False
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Send the command's request, wait for its end, and print what has become of it."""
-    found = COMMANDS[given.command](connected(given), given)
-    if given.json or found.lines:
-        answer(given, found.content, "\n".join(found.lines))
-    return 1 if found.is_failure else 0
+    outcome = COMMANDS[args.command](connected(args), args)
+    if args.json or outcome.lines:
+        answer(args, outcome.content, "\n".join(outcome.lines))
+    return 1 if outcome.is_failure else 0
 
 
-def _tool(client: ArmClient, given: argparse.Namespace) -> Answer:
-    if given.name is not None:
-        client.tool(given.name)
+def _tool(client: ArmClient, args: argparse.Namespace) -> Answer:
+    if args.name is not None:
+        client.tool(args.name)
     status = client.status()
     on, names, held_kg = status["tool"], status["tools"], status["payload_kg"]
     lines = [f"{'*' if name == on else ' '} {name}" for name in names]
-    if given.name is not None:
+    if args.name is not None:
         lines = [f"tool {on} is on" + (f"; the stated payload is still {held_kg:g} kg" if held_kg else "")]
     elif not names:
         lines = ["one tool without a name; [[tool]] of arm.toml names several"]
     return Answer({"tool": on, "tools": names, "payload_kg": held_kg}, lines)
 
 
-def _gripper(client: ArmClient, given: argparse.Namespace) -> Answer:
-    if given.action is not None and given.to is not None:
+def _gripper(client: ArmClient, args: argparse.Namespace) -> Answer:
+    if args.action is not None and args.to is not None:
         raise ArmError("gripper: give either open, close, stop, or --to")
-    if given.action is None and given.to is None:
-        if given.force is not None or given.must_hold:
+    if args.action is None and args.to is None:
+        if args.force is not None or args.must_hold:
             raise ArmError("gripper: --force and --must-hold need open, close or --to")
         state = client.status()["gripper"]
         if state is None:
             raise ArmError("gripper: arm.toml describes none: add a [gripper]")
     else:
-        state = client.grip(given.action or "move", given.to, given.force)
-    is_empty = given.must_hold and state["state"] != "GRIPPED"
-    return Answer(state, [gripper_text(state)], is_empty or (state["state"] in STOPS and given.action != "stop"))
+        state = client.grip(args.action or "move", args.to, args.force)
+    is_empty = args.must_hold and state["state"] != "GRIPPED"
+    return Answer(state, [gripper_text(state)], is_empty or (state["state"] in STOPS and args.action != "stop"))
 
 
 def gripper_text(state: Mapping[str, Any]) -> str:
@@ -66,23 +66,23 @@ def gripper_text(state: Mapping[str, Any]) -> str:
     return f"gripper {state['text']}{opening}{force}{lost}"
 
 
-def _digital(client: ArmClient, given: argparse.Namespace) -> Answer:
-    if given.level is not None and given.until is not None:
+def _digital(client: ArmClient, args: argparse.Namespace) -> Answer:
+    if args.level is not None and args.until is not None:
         raise ArmError("digital: give either a level, or --until")
-    if given.until is not None and given.name is None:
+    if args.until is not None and args.name is None:
         raise ArmError("digital: --until needs the NAME of a pin")
     is_late = False
-    if given.level is not None:
-        client.set_output(given.name, given.level == "on")
-        return Answer({given.name: given.level == "on"}, [])
-    if given.until is not None:
-        is_late = not client.await_level(given.name, given.until == "on", given.timeout)
+    if args.level is not None:
+        client.set_output(args.name, args.level == "on")
+        return Answer({args.name: args.level == "on"}, [])
+    if args.until is not None:
+        is_late = not client.await_level(args.name, args.until == "on", args.timeout)
     pins = client.status()["digital"]
-    if given.name is not None and given.name not in pins:
-        raise ArmError(f"digital: no pin {given.name!r}: expected one of {', '.join(pins) or 'none'}")
+    if args.name is not None and args.name not in pins:
+        raise ArmError(f"digital: no pin {args.name!r}: expected one of {', '.join(pins) or 'none'}")
     if not pins:
         return Answer({}, ["no pins; [[digital]] of arm.toml names them"])
-    chosen = {given.name: pins[given.name]} if given.name is not None else pins
+    chosen = {args.name: pins[args.name]} if args.name is not None else pins
     return Answer(chosen, [pin_text(name, pin) for name, pin in chosen.items()], is_late)
 
 

@@ -32,22 +32,22 @@ SAME_m = 1e-4  # closer way-points are duplicates
 SAME_TURN = 1e-3  # of a quaternion's numbers: 2 mrad
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Run the command of the given name; returns when the motion is complete."""
-    return MOTIONS[given.command](given)
+    return MOTIONS[args.command](args)
 
 
-def _move(given: argparse.Namespace) -> int:
-    if (given.joints is None) == (given.tip is None):
+def _move(args: argparse.Namespace) -> int:
+    if (args.joints is None) == (args.tip is None):
         raise ArmError("move: give either --joints or --tip")
-    if given.tip is None and (given.orientation is not None or given.frame != "base"):
+    if args.tip is None and (args.orientation is not None or args.frame != "base"):
         raise ArmError("move: --orientation and --frame need --tip")
-    tip_m, orientation = given.tip, given.orientation
-    if given.frame == "tracker":
+    tip_m, orientation = args.tip, args.orientation
+    if args.frame == "tracker":
         turned = (1.0, 0.0, 0.0, 0.0) if orientation is None else tuple(orientation)
-        in_base = compose(tracker_place(load_arm(given.arm)), RigidPose(tuple(tip_m), turned))
+        in_base = compose(tracker_place(load_arm(args.arm)), RigidPose(tuple(tip_m), turned))
         tip_m, orientation = in_base.position_m, None if orientation is None else in_base.quaternion
-    return _joint_move(given, given.joints, tip_m, orientation)
+    return _joint_move(args, args.joints, tip_m, orientation)
 
 
 def tracker_place(arm: Arm) -> RigidPose:
@@ -55,33 +55,33 @@ def tracker_place(arm: Arm) -> RigidPose:
     stream = arm.camera.stream if arm.camera is not None else None
     if stream is not None and stream.origin_m is not None:
         return RigidPose(stream.origin_m, stream.orientation)
-    found = next((effect.parameters for effect in arm.effects if effect.effect == "base_frame"), None)
-    if found is None:
+    base_frame = next((effect.parameters for effect in arm.effects if effect.effect == "base_frame"), None)
+    if base_frame is None:
         raise ArmError(
             f"move --frame tracker: {arm.path} does not say where the tracker's frame is: expected origin_m in [camera.stream] or"
             " an [[effect]] base_frame, as `armwright calibrate` writes them; in the arm's own frame leave --frame out"
         )
-    x, y, z, *turn_rad = (found.get(key, 0.0) for key in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
+    x, y, z, *turn_rad = (base_frame.get(key, 0.0) for key in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
     angle_rad = math.hypot(*turn_rad)
     share = 0.5 if angle_rad < 1e-9 else math.sin(0.5 * angle_rad) / angle_rad
     a, b, c = (share * turn for turn in turn_rad)
     return RigidPose((x, y, z), (math.cos(0.5 * angle_rad), a, b, c))
 
 
-def _go(given: argparse.Namespace) -> int:
-    rest = load_arm(given.arm).rest
-    place = find_place(Path(given.places), given.name, rest.q_rad if rest else None)
-    return _joint_move(given, place.q_rad, place.tip_m)
+def _go(args: argparse.Namespace) -> int:
+    rest = load_arm(args.arm).rest
+    place = find_place(Path(args.places), args.name, rest.q_rad if rest else None)
+    return _joint_move(args, place.q_rad, place.tip_m)
 
 
-def _joint_move(given: argparse.Namespace, q_rad: Any, tip_m: Any, orientation: Any = None) -> int:
+def _joint_move(args: argparse.Namespace, q_rad: Any, tip_m: Any, orientation: Any = None) -> int:
     """Move to joint angles, or to the nearest ones with the tip at a position, and turned as asked."""
-    client = connected(given)
+    client = connected(args)
     if q_rad is None:
-        arm = with_present_tool(load_arm(given.arm), client)
+        arm = with_present_tool(load_arm(args.arm), client)
         q_rad = _nearest(arm, tip_m, orientation, client.status()["joint_rad"])
-    with shown(client, given):
-        client.move_joints(tuple(q_rad), given.speed, waits=_waits(given))
+    with shown(client, args):
+        client.move_joints(tuple(q_rad), args.speed, waits=_waits(args))
     return 0
 
 
@@ -95,39 +95,39 @@ def _nearest(arm: Arm, tip_m: Any, orientation: Any, q_near_rad: Any) -> tuple[f
     return PoseInverse(arm).nearest(TipPose.of(tip_m, orientation), q_near_rad)
 
 
-def _run(given: argparse.Namespace) -> int:
+def _run(args: argparse.Namespace) -> int:
     """Run way-points through a Cartesian spline; everything is checked before anything moves."""
-    arm = load_arm(given.arm)
-    waypoints = read_waypoints(given.file)
-    if given.relative_to is not None:
-        waypoints = beside(given, arm, waypoints)
-    client, near_rad, whence = _whence(given, arm)
+    arm = load_arm(args.arm)
+    waypoints = read_waypoints(args.file)
+    if args.relative_to is not None:
+        waypoints = beside(args, arm, waypoints)
+    client, near_rad, whence = _whence(args, arm)
     arm = arm if client is None else with_present_tool(arm, client)
-    path = plan_path(arm, waypoints, given.speed, q_near_rad=near_rad)
+    path = plan_path(arm, waypoints, args.speed, q_near_rad=near_rad)
     sys.stdout.write(described(path))
     if near_rad is not None:
         _require_clear(arm, path, near_rad)
-    if client is None or given.plan_only:
+    if client is None or args.plan_only:
         sys.stdout.write(f"planned from {whence}\n")
         return 0
     sys.stdout.flush()
-    with shown(client, given, "run: to the first way-point"):
+    with shown(client, args, "run: to the first way-point"):
         client.move_joints(path.q_start_rad, TO_START_SPEED)
-    with shown(client, given):
-        client.run_path(path.to_message(), waits=_waits(given), tool=arm.tool.name)
+    with shown(client, args):
+        client.run_path(path.to_message(), waits=_waits(args), tool=arm.tool.name)
     return 0
 
 
-def _whence(given: argparse.Namespace, arm: Arm) -> tuple[ArmClient | None, Sequence[float] | None, str]:
+def _whence(args: argparse.Namespace, arm: Arm) -> tuple[ArmClient | None, Sequence[float] | None, str]:
     """The runtime, the pose that the motion begins at, and both in words; a plan alone needs neither."""
     try:
-        client = connected(given)
+        client = connected(args)
         status = client.status()
-        if status["is_homed"] or not given.plan_only:
+        if status["is_homed"] or not args.plan_only:
             return client, status["joint_rad"], "where the arm is now"
         why = "the arm is not homed"
     except RuntimeGone:
-        if not given.plan_only:
+        if not args.plan_only:
             raise
         client, why = None, "no runtime answers"
     rest = "[rest]" if arm.rest else "joint angles 0"
@@ -146,9 +146,9 @@ def _require_clear(arm: Arm, path: PlannedPath, here_rad: Sequence[float]) -> No
     guard.require_joint_path(path.joints)
 
 
-def _waits(given: argparse.Namespace) -> bool:
+def _waits(args: argparse.Namespace) -> bool:
     """Whether to wait for the end; not for a script's line that ends with &."""
-    return bool(getattr(given, "waits", True))
+    return bool(getattr(args, "waits", True))
 
 
 def described(path: PlannedPath) -> str:
@@ -162,53 +162,53 @@ def described(path: PlannedPath) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _jog(given: argparse.Namespace) -> int:
+def _jog(args: argparse.Namespace) -> int:
     """One step; exit status 1 if it could not be completed."""
-    if (given.joint is None) == (given.axis is None):
+    if (args.joint is None) == (args.axis is None):
         raise ArmError("jog: give either --joint or --axis")
-    is_turn = given.axis is not None and given.axis.startswith("r")
-    step: dict[str, Any] = {"axis": given.axis, "by_rad" if is_turn else "by_m": given.by, "frame": given.frame}
+    is_turn = args.axis is not None and args.axis.startswith("r")
+    step: dict[str, Any] = {"axis": args.axis, "by_rad" if is_turn else "by_m": args.by, "frame": args.frame}
     speed = "speed_rad_s" if is_turn else "speed_m_s"
-    if given.joint is not None:
-        step, speed = {"joint": given.joint, "by_rad": given.by}, "speed_rad_s"
-    if given.speed is not None:
-        step[speed] = given.speed
-    limited = connected(given).jog(**step)
+    if args.joint is not None:
+        step, speed = {"joint": args.joint, "by_rad": args.by}, "speed_rad_s"
+    if args.speed is not None:
+        step[speed] = args.speed
+    limited = connected(args).jog(**step)
     if limited:
         sys.stderr.write(f"armwright: {limited}\n")
     return 1 if limited and not limited.startswith("slowed") else 0
 
 
-def _mark(given: argparse.Namespace) -> int:
+def _mark(args: argparse.Namespace) -> int:
     """Save the present pose as a named place."""
-    status = connected(given).status()
+    status = connected(args).status()
     if not status["is_homed"]:
         raise ArmError("mark: the arm is not homed, so its joint angles are unknown: run `armwright home`")
-    _say_if_outside(given, status["joint_rad"])
-    was_there = save_place(Path(given.places), given.name, status["joint_rad"])
-    sys.stdout.write(f"{given.name} in {given.places}{', replacing another pose' if was_there else ''}\n")
+    _say_if_outside(args, status["joint_rad"])
+    was_there = save_place(Path(args.places), args.name, status["joint_rad"])
+    sys.stdout.write(f"{args.name} in {args.places}{', replacing another pose' if was_there else ''}\n")
     return 0
 
 
-def _say_if_outside(given: argparse.Namespace, q_rad: Sequence[float]) -> None:
+def _say_if_outside(args: argparse.Namespace, q_rad: Sequence[float]) -> None:
     """Warn of a pose beyond the joints' limits: no motion goes there."""
-    for number, (q, (lower, upper)) in enumerate(zip(q_rad, load_arm(given.arm).limits_rad, strict=True), 1):
+    for number, (q, (lower, upper)) in enumerate(zip(q_rad, load_arm(args.arm).limits_rad, strict=True), 1):
         if not lower <= q <= upper:
             sys.stderr.write(
-                f"armwright: {given.command}: joint {number} is at {q:.4f} rad, outside its limits ({lower:g} to {upper:g} rad):"
+                f"armwright: {args.command}: joint {number} is at {q:.4f} rad, outside its limits ({lower:g} to {upper:g} rad):"
                 " no motion goes back there\n"
             )
 
 
-def _teach(given: argparse.Namespace) -> int:
+def _teach(args: argparse.Namespace) -> int:
     """Append the tip's position to a way-point file, created if missing, and its orientation if the file has such columns."""
-    status = connected(given).status()
+    status = connected(args).status()
     if status["tip_m"] is None:
         raise ArmError("teach: the tip position is unknown: run `armwright home`")
-    _say_if_outside(given, status["joint_rad"])
-    file = Path(given.file)
+    _say_if_outside(args, status["joint_rad"])
+    file = Path(args.file)
     with changing(file):
-        lines = _way_points(file, given.orientation)
+        lines = _way_points(file, args.orientation)
         row = [*status["tip_m"], *(status["tip_orientation"] if lines[0].strip() == FULL_HEADER else ())]
         if len(lines) > 1 and _is_same(lines[-1], row):
             raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
@@ -253,28 +253,28 @@ MOTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
 AT_REST = ("HOLDING", "OFF", "BRAKED", "HELD")
 
 
-def beside(given: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoints:
+def beside(args: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoints:
     """The way-points in the base frame of `arm`: as they are, offsets from the other arm's tip along the axes of the cell.
 
     ArmError unless the other arm is at rest, and homed.
     """
-    cell = load_cell(given.cell)
-    own, other = cell.placed(arm.name), cell.placed(given.relative_to)
-    if own.name == other.name:
-        raise ArmError(f"run: --relative-to: expected another arm than {own.name!r}")
+    cell = load_cell(args.cell)
+    placed, leader = cell.placed(arm.name), cell.placed(args.relative_to)
+    if placed.name == leader.name:
+        raise ArmError(f"run: --relative-to: expected another arm than {placed.name!r}")
     if waypoints.orientations is not None:
         raise ArmError("run: --relative-to: expected way-points without orientation (qw,qx,qy,qz)")
-    client = ArmClient(SocketChannel(default_path(other.name)))
+    client = ArmClient(SocketChannel(default_path(leader.name)))
     try:
-        client.require_arm(other.arm, cell)
+        client.require_arm(leader.arm, cell)
         status = client.status()
     finally:
         client.close()
     if status["tip_set_m"] is None or status["mode"] not in AT_REST:
         homed = "homed" if status["is_homed"] else "not homed"
         raise ArmError(
-            f"run: --relative-to {other.name}: expected the arm homed and at rest, since the path begins from where its tip is;"
+            f"run: --relative-to {leader.name}: expected the arm homed and at rest, since the path begins from where its tip is;"
             f" it is {status['mode']} and {homed}"
         )
-    points = cell.beside_tip(own.name, other.name, status["tip_set_m"], waypoints.points)
+    points = cell.beside_tip(placed.name, leader.name, status["tip_set_m"], waypoints.points)
     return replace(waypoints, points=points)

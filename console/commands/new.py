@@ -55,23 +55,23 @@ class Defaults:
         raise ArmError(text)
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Ask, write the file, and say what to do next."""
-    out = Path(given.out)
+    out = Path(args.out)
     if out.exists():
         raise ArmError(f"{out}: already exists and is not overwritten; name another file")
-    if given.like:
-        return _like(given, out)
-    options = Given(**{key: getattr(given, key, None) for key in ANSWERS})
-    asker: Asker = Defaults() if given.yes else Terminal()
-    model = _model(given)
+    if args.like:
+        return _like(args, out)
+    options = Given(**{key: getattr(args, key, None) for key in ANSWERS})
+    asker: Asker = Defaults() if args.yes else Terminal()
+    model = _model(args)
     serial = model if model else stretched_arm(ask_shape(options, asker))
-    name = given.name or _name_of(out)
-    answers = answers_for(serial, name, given.convention, options, asker)
+    name = args.name or _name_of(out)
+    answers = answers_for(serial, name, args.convention, options, asker)
     new = compose(serial, answers)
-    source = given.from_urdf or given.from_mjcf
+    source = args.from_urdf or args.from_mjcf
     origin = f"from {Path(source).name}" if source else "from the answers to `armwright new`"
-    arm = dataclasses.replace(new.arm, as_given=bool(given.as_given), placeholders=("motors",) if model else ("masses", "motors"))
+    arm = dataclasses.replace(new.arm, as_given=bool(args.as_given), placeholders=("motors",) if model else ("masses", "motors"))
     new = dataclasses.replace(new, arm=arm)
     text = commented_text(new, origin)
     _require_readable(text, out, new, source)
@@ -83,20 +83,20 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _like(given: argparse.Namespace, out: Path) -> int:
+def _like(args: argparse.Namespace, out: Path) -> int:
     """Copy a supplied arm, comments and all, under another name and to other ports."""
-    useless = [f"--{key.replace('_', '-')}" for key in NOT_LIKE if getattr(given, key, None)]
+    useless = [f"--{key.replace('_', '-')}" for key in NOT_LIKE if getattr(args, key, None)]
     if useless:
-        raise ArmError(f"--like {given.like} copies a whole arm: leave {', '.join(useless)} out")
-    text, name = supplied_text(given.like), given.name or _name_of(out)
+        raise ArmError(f"--like {args.like} copies a whole arm: leave {', '.join(useless)} out")
+    text, name = supplied_text(args.like), args.name or _name_of(out)
     ports = list(dict.fromkeys(PORT.findall(text)))
-    if given.ports and len(given.ports) != len(ports):
-        raise ArmError(f"--ports: expected {len(ports)}, as {given.like} has ({', '.join(ports)}), got {len(given.ports)}")
-    new_port = dict(zip(ports, given.ports or ports, strict=True))
+    if args.ports and len(args.ports) != len(ports):
+        raise ArmError(f"--ports: expected {len(ports)}, as {args.like} has ({', '.join(ports)}), got {len(args.ports)}")
+    new_port = dict(zip(ports, args.ports or ports, strict=True))
     text = PORT.sub(lambda found: _line("port", new_port[found[1]]), NAME.sub(lambda _: _line("name", name), text, count=1))
     arm = parse_arm(text, out)
     _write(out, text)
-    sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {given.like}\n")
+    sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {args.like}\n")
     sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
     return 0
 
@@ -105,13 +105,13 @@ def _line(key: str, value: str) -> str:
     return tomli_w.dumps({key: value}).rstrip()
 
 
-def _model(given: argparse.Namespace) -> SerialArm | None:
-    if given.from_urdf and given.from_mjcf:
+def _model(args: argparse.Namespace) -> SerialArm | None:
+    if args.from_urdf and args.from_mjcf:
         raise ArmError("--from-urdf and --from-mjcf: give one of them")
-    for form, path in (("urdf", given.from_urdf), ("mjcf", given.from_mjcf)):
+    for form, path in (("urdf", args.from_urdf), ("mjcf", args.from_mjcf)):
         if path:
-            return read_arm(Path(path), form, given.base, given.tip)
-    if given.base or given.tip:
+            return read_arm(Path(path), form, args.base, args.tip)
+    if args.base or args.tip:
         raise ArmError("--base and --tip name links of a model: give --from-urdf or --from-mjcf, too")
     return None
 

@@ -21,9 +21,9 @@ def warn(sentences: Iterable[str]) -> None:
     sys.stderr.writelines(f"armwright: warning: {sentence}\n" for sentence in sentences)
 
 
-def answer(given: argparse.Namespace, content: object, text: str, files: Mapping[str, Path] | None = None) -> None:
+def answer(args: argparse.Namespace, content: object, text: str, files: Mapping[str, Path] | None = None) -> None:
     """Print a result: with --json `content` (a path is a file that holds it), else `text` and where the files are."""
-    if given.json:
+    if args.json:
         from calib.results import json_text
 
         sys.stdout.write(content.read_text("utf-8") if isinstance(content, Path) else json_text(content))
@@ -115,12 +115,12 @@ class Progress:
 
 
 @contextlib.contextmanager
-def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iterator[None]:
+def shown(client: ArmClient, args: argparse.Namespace, title: str = "") -> Iterator[None]:
     """Show progress while open, and how it ended; not in a script, whose lines report themselves."""
-    if getattr(given, "connect", None) is not None:
+    if getattr(args, "connect", None) is not None:
         yield
         return
-    progress = Progress(title or given.command)
+    progress = Progress(title or args.command)
     client.on_wait = progress
     try:
         yield
@@ -130,4 +130,4 @@ def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iter
     mode = "the runtime has ended"
     with contextlib.suppress(RuntimeGone):
         mode = str(client.ask("mode")["mode"]).lower()
-    sys.stderr.write(f"{title or given.command}: {mode}\n")
+    sys.stderr.write(f"{title or args.command}: {mode}\n")

@@ -27,16 +27,16 @@ MCAP_NAME = "cell.mcap"
 DATASET_RATE_Hz = 50  # usual for imitation learning; a recording has 500
 
 
-def run_export(given: argparse.Namespace) -> int:
+def run_export(args: argparse.Namespace) -> int:
     """Export and print what was written."""
-    if given.lerobot:
-        return _dataset(given)
-    if given.fps is not None or given.task is not None:
+    if args.lerobot:
+        return _dataset(args)
+    if args.fps is not None or args.task is not None:
         raise ArmError("--fps and --task are of a dataset: give --lerobot too")
-    if len(given.recording) > 1:
-        raise ArmError(f"expected one recording, got {len(given.recording)}: several make a dataset with --lerobot")
-    recording, out = _existing(given.recording[0]), Path(given.out)
-    written = _joined(recording, out, given) if recording.is_dir() else _exported(given, recording, out)
+    if len(args.recording) > 1:
+        raise ArmError(f"expected one recording, got {len(args.recording)}: several make a dataset with --lerobot")
+    recording, out = _existing(args.recording[0]), Path(args.out)
+    written = _joined(recording, out, args) if recording.is_dir() else _exported(args, recording, out)
     for name in (name for name, rows in written.items() if not rows):
         sys.stderr.write(
             f"armwright: warning: {name} is empty: it begins with the first motion, and nothing moved in this recording\n"
@@ -45,24 +45,24 @@ def run_export(given: argparse.Namespace) -> int:
     text = "".join(f"{out / name}: {rows} cycles\n" for name, rows in written.items())
     if not recording.is_dir() and len(set(written.values())) > 1:
         text += "log.csv.gz holds the motions alone, log.mcap what came before the first one, too"
-    answer(given, files, text)
+    answer(args, files, text)
     return 0
 
 
-def _dataset(given: argparse.Namespace) -> int:
+def _dataset(args: argparse.Namespace) -> int:
     """A LeRobot dataset of all recordings, an episode a run."""
-    rate_Hz, out = DATASET_RATE_Hz if given.fps is None else given.fps, Path(given.out)
-    if given.every != 1:
+    rate_Hz, out = DATASET_RATE_Hz if args.fps is None else args.fps, Path(args.out)
+    if args.every != 1:
         raise ArmError("--lerobot: not together with --every; --fps sets the rate")
     if rate_Hz < 1:
         raise ArmError(f"--fps: expected 1 or more samples per second, got {rate_Hz}")
-    if not (given.task or "").strip():
+    if not (args.task or "").strip():
         raise ArmError("--lerobot: say in words what the arm does, which policies may read: --task 'draw a square'")
-    recordings = [_existing(one) for one in given.recording]
-    arm = load_arm(given.arm) if given.arm else None
-    episodes, frames = write_dataset(_episodes(recordings, arm, rate_Hz), rate_Hz, given.task, out)
+    recordings = [_existing(one) for one in args.recording]
+    arm = load_arm(args.arm) if args.arm else None
+    episodes, frames = write_dataset(_episodes(recordings, arm, rate_Hz), rate_Hz, args.task, out)
     made = {"folder": str(out), "episodes": episodes, "frames": frames, "fps": rate_Hz}
-    answer(given, made, f"{out}: {episodes} episodes, {frames} frames at {rate_Hz} Hz")
+    answer(args, made, f"{out}: {episodes} episodes, {frames} frames at {rate_Hz} Hz")
     return 0
 
 
@@ -82,13 +82,13 @@ def _existing(text: str) -> Path:
     return recording
 
 
-def _joined(folder: Path, out: Path, given: argparse.Namespace) -> dict[str, int]:
+def _joined(folder: Path, out: Path, args: argparse.Namespace) -> dict[str, int]:
     """All arms of a cell in one table and one MCAP file."""
     recordings, files = recordings_in(folder), (out / FILE_NAME, out / MCAP_NAME)
-    if given.arm:
+    if args.arm:
         raise ArmError("--arm: not for a cell's folder, which has every arm's description")
-    if given.every < 1:
-        raise ArmError(f"--every: expected a cycle count of 1 or more, got {given.every}")
+    if args.every < 1:
+        raise ArmError(f"--every: expected a cycle count of 1 or more, got {args.every}")
     for file in files:
         if file.exists():
             raise ArmError(f"{file} already exists: choose another folder or remove it first")
@@ -100,35 +100,35 @@ def _joined(folder: Path, out: Path, given: argparse.Namespace) -> dict[str, int
         def half(begun: float) -> Callable[[int], None]:
             return lambda row: bar.advance("export", begun + 0.5 * min(row / total, 1.0))
 
-        rows = make_whole(files[0], lambda part: join(recordings, part, given.every, half(0.0)))
-        cycles = make_whole(files[1], lambda part: cell_to_mcap(recordings, part, cell, given.every, half(0.5)))
+        rows = make_whole(files[0], lambda part: join(recordings, part, args.every, half(0.0)))
+        cycles = make_whole(files[1], lambda part: cell_to_mcap(recordings, part, cell, args.every, half(0.5)))
     return {FILE_NAME: rows, MCAP_NAME: cycles}
 
 
-def _exported(given: argparse.Namespace, recording: Path, out: Path) -> dict[str, int]:
-    arm = load_arm(given.arm) if given.arm else recorded_arm(Recording.open(recording))
+def _exported(args: argparse.Namespace, recording: Path, out: Path) -> dict[str, int]:
+    arm = load_arm(args.arm) if args.arm else recorded_arm(Recording.open(recording))
     if arm is None:
         sys.stderr.write(
             "armwright: warning: the arm of this recording is unknown, so log.mcap has no 3-D view: give it with --arm\n"
         )
     with Bar("export") as bar:
-        return export(recording, out, given.every, arm, lambda done: bar.advance("export", done))
+        return export(recording, out, args.every, arm, lambda done: bar.advance("export", done))
 
 
 USUAL_OUT = Path("out/plot")
 
 
-def run_plot(given: argparse.Namespace) -> int:
+def run_plot(args: argparse.Namespace) -> int:
     """Read, select, draw, print."""
-    out = None if given.window or (given.json and not given.out) else _place(given.out)
-    series, joints = _series(given)
-    pictures = _pictures(given.what, series)
+    out = None if args.window or (args.json and not args.out) else _place(args.out)
+    series, joints = _series(args)
+    pictures = _pictures(args.what, series)
     files: list[Path] = []
-    if given.window:
+    if args.window:
         show(pictures, series, joints)
     elif out is not None:
         files = _written(out, pictures, series, joints)
-    _say(given, series, metrics_of(series), joints, files)
+    _say(args, series, metrics_of(series), joints, files)
     return 0
 
 
@@ -141,16 +141,16 @@ def _place(out: str | None) -> Path:
     return path
 
 
-def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
+def _series(args: argparse.Namespace) -> tuple[Series, Sequence[int]]:
     """The requested part of the file, and its joints (1-based)."""
-    arm = load_arm(given.arm) if given.arm else None
+    arm = load_arm(args.arm) if args.arm else None
     with Bar("read") as bar:
-        series = read_log(Path(given.log), arm, lambda done: bar.advance("read", done))
+        series = read_log(Path(args.log), arm, lambda done: bar.advance("read", done))
     warn(series.notes)
     if not len(series):
-        raise ArmError(f"{given.log}: empty recording: a header without cycles")
-    joints = _joints(given.joints, series.joint_count)
-    return chosen(series, given.run, given.from_s, given.to_s), joints
+        raise ArmError(f"{args.log}: empty recording: a header without cycles")
+    joints = _joints(args.joints, series.joint_count)
+    return chosen(series, args.run, args.from_s, args.to_s), joints
 
 
 def _joints(text: str | None, count: int) -> Sequence[int]:
@@ -187,9 +187,9 @@ def _written(out: Path, pictures: Sequence[Picture], series: Series, joints: Seq
         return write_each(out, pictures, series, joints, bar.advance)
 
 
-def _say(given: argparse.Namespace, series: Series, merit: Metrics, joints: Sequence[int], files: Sequence[Path]) -> None:
+def _say(args: argparse.Namespace, series: Series, merit: Metrics, joints: Sequence[int], files: Sequence[Path]) -> None:
     content = metrics_json(series, merit)
     content["joints"] = [joint for joint in content["joints"] if joint["joint"] in joints]
     written = [str(file) for file in files]
     text = metrics_text(series, merit) + "".join(f"written: {file}\n" for file in written)
-    answer(given, {**content, "files": written}, text)
+    answer(args, {**content, "files": written}, text)

@@ -20,41 +20,41 @@ GUIDES_WEIGHTLESS = "The drives will compensate gravity only as well as the mass
 RELEASES = "The arm is held by its boards, as they were found. They will let go and it will drop."
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Send the command's request of the table. ArmError, or the error that stopped the arm."""
-    client = listening(given)
-    if given.command == "guide":
-        _require_consent(given, GUIDES_WEIGHTLESS if given.weightless else GUIDES)
-    with shown(client, given):
-        result = REQUESTS[given.command](client, given)
+    client = listening(args)
+    if args.command == "guide":
+        _require_consent(args, GUIDES_WEIGHTLESS if args.weightless else GUIDES)
+    with shown(client, args):
+        result = REQUESTS[args.command](client, args)
     if result:
         sys.stdout.write(f"{result}\n")
     return 0
 
 
-def _enable(client: ArmClient, given: argparse.Namespace) -> str | None:
+def _enable(client: ArmClient, args: argparse.Namespace) -> str | None:
     return None if client.enable() else "the drives are already on; nothing changed"
 
 
-def _home(client: ArmClient, given: argparse.Namespace) -> str | None:
-    if client.home(again=given.again):
+def _home(client: ArmClient, args: argparse.Namespace) -> str | None:
+    if client.home(again=args.again):
         return None
     return "already homed: the boards know their zeros; `armwright home --again` homes again"
 
 
-def _wait(client: ArmClient, given: argparse.Namespace) -> None:
-    if given.seconds is None:
+def _wait(client: ArmClient, args: argparse.Namespace) -> None:
+    if args.seconds is None:
         client.arrive(LONGEST_WAIT_S, RESTING)
         return
-    if not 0.0 <= given.seconds <= LONGEST_WAIT_S:
-        raise ArmError(f"wait: expected 0 to {LONGEST_WAIT_S:g} s, got {given.seconds:g}")
-    client.wait(given.seconds)
+    if not 0.0 <= args.seconds <= LONGEST_WAIT_S:
+        raise ArmError(f"wait: expected 0 to {LONGEST_WAIT_S:g} s, got {args.seconds:g}")
+    client.wait(args.seconds)
 
 
-def _guide(client: ArmClient, given: argparse.Namespace) -> str | None:
+def _guide(client: ArmClient, args: argparse.Namespace) -> str | None:
     """Guide until the operator ends it here, or another command does; a script goes on with its next line."""
-    client.guide(given.weightless)
-    if getattr(given, "connect", None) is not None:
+    client.guide(args.weightless)
+    if getattr(args, "connect", None) is not None:
         return None
     hint = "Enter holds the arm where it is; " if sys.stdin.isatty() else ""
     sys.stderr.write(f"guided by hand: {hint}`armwright hold` or `stop` from elsewhere; Ctrl-C brakes\n")
@@ -66,13 +66,13 @@ def _guide(client: ArmClient, given: argparse.Namespace) -> str | None:
     return f"hand-guiding has ended: {client.ask('mode')['mode']}"
 
 
-def _off(client: ArmClient, given: argparse.Namespace) -> None:
+def _off(client: ArmClient, args: argparse.Namespace) -> None:
     """Switch off; somebody must hold an arm that its boards hold as they were found."""
     status = client.status()
     is_held = status["mode"] == "HELD" or status["drives"] == "AS_FOUND"
     if is_held:
-        _require_consent(given, RELEASES)
-    client.off(given.quit, lets_go=is_held)
+        _require_consent(args, RELEASES)
+    client.off(args.quit, lets_go=is_held)
 
 
 def _has_line() -> bool:
@@ -82,26 +82,26 @@ def _has_line() -> bool:
 
 
 REQUESTS: Mapping[str, Request] = {
-    "acknowledge": lambda client, given: client.acknowledge(),
+    "acknowledge": lambda client, args: client.acknowledge(),
     "enable": _enable,
     "guide": _guide,
-    "hold": lambda client, given: client.hold(),
+    "hold": lambda client, args: client.hold(),
     "home": _home,
     "off": _off,
-    "override": lambda client, given: client.override(given.fraction),
-    "pause": lambda client, given: client.pause(),
-    "resume": lambda client, given: client.resume(),
+    "override": lambda client, args: client.override(args.fraction),
+    "pause": lambda client, args: client.pause(),
+    "resume": lambda client, args: client.resume(),
     "wait": _wait,
 }
 
 
-def _require_consent(given: argparse.Namespace, what: str) -> None:
+def _require_consent(args: argparse.Namespace, what: str) -> None:
     """ArmError unless --yes is given or the operator confirms the release. `what`: happens then."""
-    if given.yes:
+    if args.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ArmError(f"{given.command}: releases the arm, and there is no terminal to confirm it: give --yes")
+        raise ArmError(f"{args.command}: releases the arm, and there is no terminal to confirm it: give --yes")
     sys.stderr.write(f"{what} Is somebody holding the arm? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise ArmError(f"{given.command}: not confirmed; nothing changed")
+        raise ArmError(f"{args.command}: not confirmed; nothing changed")

@@ -17,14 +17,14 @@ from control.model.description import load_arm
 from procedures.guiding import Replay, guided_motion, replayed
 
 
-def run_script(given: argparse.Namespace) -> int:
+def run_script(args: argparse.Namespace) -> int:
     """Parse the whole file first; then run it."""
-    grammar = Grammar(COMMANDS, {"arm": given.arm, "socket": given.socket})
+    grammar = Grammar(COMMANDS, {"arm": args.arm, "socket": args.socket})
     try:
-        lines = parse_lines(_text(given.file).splitlines(), grammar)
+        lines = parse_lines(_text(args.file).splitlines(), grammar)
     except LineError as error:
-        raise LineError(f"{given.file}: {error}; nothing was run") from None
-    if given.check:
+        raise LineError(f"{args.file}: {error}; nothing was run") from None
+    if args.check:
         sys.stdout.write("".join(f"{number}: {line.text}\n" for number, line in lines))
         return 0
     outcomes: list[LineOutcome] = []
@@ -32,13 +32,13 @@ def run_script(given: argparse.Namespace) -> int:
 
     def say(outcome: LineOutcome) -> None:
         outcomes.append(outcome)
-        if not given.json:
+        if not args.json:
             terminal.write(_described(outcome))
             terminal.flush()
 
-    status = replay(lines, lambda: in_control(given), say)
-    if given.json:
-        answer(given, {"status": status, "lines": [_message(outcome) for outcome in outcomes]}, "")
+    status = replay(lines, lambda: in_control(args), say)
+    if args.json:
+        answer(args, {"status": status, "lines": [_message(outcome) for outcome in outcomes]}, "")
     return status
 
 
@@ -74,24 +74,24 @@ def _message(outcome: LineOutcome) -> dict[str, object]:
 TO_START_SPEED = 0.3  # of the joints' limits, to where the motion begins
 
 
-def run_replay(given: argparse.Namespace) -> int:
+def run_replay(args: argparse.Namespace) -> int:
     """Read, smooth and check the motion; then move to its beginning and run it."""
-    arm = load_arm(given.arm)
-    if given.plan_only:
-        _planned(given, arm)
+    arm = load_arm(args.arm)
+    if args.plan_only:
+        _planned(args, arm)
         return 0
-    client = connected(given)
-    planned = _planned(given, with_present_tool(arm, client))
-    with shown(client, given, "replay: to the beginning"):
+    client = connected(args)
+    planned = _planned(args, with_present_tool(arm, client))
+    with shown(client, args, "replay: to the beginning"):
         client.move_joints(planned.path.knots[0].q_rad, TO_START_SPEED)
-    with shown(client, given):
+    with shown(client, args):
         client.run_path(planned.path.to_message())
     return 0
 
 
-def _planned(given: argparse.Namespace, arm: Arm) -> Replay:
-    guided = guided_motion(Path(given.file), arm, given.run)
-    planned = replayed(guided, arm, given.speed)
+def _planned(args: argparse.Namespace, arm: Arm) -> Replay:
+    guided = guided_motion(Path(args.file), arm, args.run)
+    planned = replayed(guided, arm, args.speed)
     slowed = f", {planned.slowdown:.2f} times as long because of {planned.limit}" if planned.limit else ""
     angles = ", ".join(f"{q:.4f}" for q in planned.path.knots[0].q_rad)
     sys.stdout.write(

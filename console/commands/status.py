@@ -17,21 +17,21 @@ from control.server.channel import Message
 STALE = " *"
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Print the status; exit status 1 if the arm is in FAULT. Or print the table of modes, which needs no arm."""
-    if given.modes:
+    if args.modes:
         from control.safety.table import table_text
 
         sys.stdout.write(f"{table_text()}\n")
         return 0
-    client = listening(given)
+    client = listening(args)
     status = client.status()
-    if getattr(given, "has_arm", True) or not given.socket:
+    if getattr(args, "has_arm", True) or not args.socket:
         try:
-            client.require_arm(load_arm(given.arm))
+            client.require_arm(load_arm(args.arm))
         except ArmError as error:
             status["warnings"].append(str(error))
-    answer(given, status, described(status))
+    answer(args, status, described(status))
     return 1 if status["mode"] == "FAULT" else 0
 
 

@@ -15,28 +15,28 @@ from control.server.channel import NoRuntime, SocketChannel, find_sockets, forei
 from control.server.client import ArmClient, ArmFaulted
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Stop; exit status 1 if a runtime did not answer, its arm is in FAULT, or none runs."""
-    if (connect := getattr(given, "connect", None)) is not None:  # in a script: only its own runtime
+    if (connect := getattr(args, "connect", None)) is not None:  # in a script: only its own runtime
         connect().stop()
         return 0
-    return stop_all(_wanted(given), given.take)
+    return stop_all(_wanted(args), args.take)
 
 
-def _wanted(given: argparse.Namespace) -> Sequence[Path]:
+def _wanted(args: argparse.Namespace) -> Sequence[Path]:
     """The sockets of the selected arms."""
-    if given.socket:
-        return [Path(given.socket)]
+    if args.socket:
+        return [Path(args.socket)]
     for problem in foreign_folders():
         sys.stderr.write(f"armwright: {problem}\n")
-    if not given.arm:
+    if not args.arm:
         return find_sockets()
-    if found := find_sockets(given.arm):  # its name is enough, as for the arms of a cell
+    if found := find_sockets(args.arm):  # its name is enough, as for the arms of a cell
         return found
     from control.model.description import load_arm
 
     try:
-        return find_sockets(load_arm(given.arm).name)
+        return find_sockets(load_arm(args.arm).name)
     except (ArmError, OSError) as error:
         sys.stderr.write(f"armwright: {error}\narmwright: stopping every runtime of this user instead\n")
         return find_sockets()
@@ -48,12 +48,12 @@ def stop_all(paths: Sequence[Path], takes: bool = False) -> int:
     `takes`: end the control of whatever client has it, too.
     """
     with ThreadPoolExecutor(max(1, len(paths))) as pool:
-        found = [end for end in pool.map(partial(_stopped, takes=takes), paths) if end is not None]
-    for is_good, text in found:
+        ends = [end for end in pool.map(partial(_stopped, takes=takes), paths) if end is not None]
+    for is_good, text in ends:
         (sys.stdout if is_good else sys.stderr).write(f"{text}\n")
-    if not found:
+    if not ends:
         sys.stderr.write("armwright: stop: no runtime found (`armwright serve` starts one)\n")
-    return 0 if found and all(is_good for is_good, _ in found) else 1
+    return 0 if ends and all(is_good for is_good, _ in ends) else 1
 
 
 def _stopped(path: Path, takes: bool) -> tuple[bool, str] | None:

@@ -36,40 +36,40 @@ LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves at most one request per cycle; thi
 RERUN_PERIOD_s = 0.02
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Show the recording LOG, or else the live arm."""
-    if not 0.0 < given.speed < 1e3:
-        raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {given.speed:g}")
-    if not 0.0 < given.fps <= 100.0:
-        raise ArmError(f"--fps: expected above 0 and at most 100 frames per second, got {given.fps:g}")
-    if given.rerun:
-        _file(given.rerun)
-    if sum(one is not None for one in (given.render, given.rerun, given.foxglove)) > 1:
+    if not 0.0 < args.speed < 1e3:
+        raise ArmError(f"--speed: expected a factor above 0 and below 1000, got {args.speed:g}")
+    if not 0.0 < args.fps <= 100.0:
+        raise ArmError(f"--fps: expected above 0 and at most 100 frames per second, got {args.fps:g}")
+    if args.rerun:
+        _file(args.rerun)
+    if sum(one is not None for one in (args.render, args.rerun, args.foxglove)) > 1:
         raise ArmError("--render, --rerun and --foxglove contradict each other: give one")
-    if given.foxglove is not None and (given.log is not None or given.cell is not None):
+    if args.foxglove is not None and (args.log is not None or args.cell is not None):
         raise ArmError(
             "--foxglove: shows one live arm; not together with a LOG or --cell. For a recording, open the log.mcap of"
             " `armwright export`"
         )
-    if given.foxglove:
+    if args.foxglove:
         from console.visualisation.streams import address_of
 
-        address_of(given.foxglove)
-    if given.cell is not None:
-        return _cell(given)
-    return _live(given) if given.log is None else _recorded(given)
+        address_of(args.foxglove)
+    if args.cell is not None:
+        return _cell(args)
+    return _live(args) if args.log is None else _recorded(args)
 
 
-def _cell(given: argparse.Namespace) -> int:
+def _cell(args: argparse.Namespace) -> int:
     """All arms of a cell, live; or their present poses as a picture."""
-    if given.log is not None or given.arm is not None or given.socket is not None or given.rerun is not None:
+    if args.log is not None or args.arm is not None or args.socket is not None or args.rerun is not None:
         raise ArmError("--cell: shows the live arms; not together with a LOG, --arm, --socket or --rerun")
-    cell = load_cell(given.cell)
-    with connected_arms(given, cell.names) as clients:
+    cell = load_cell(args.cell)
+    with connected_arms(args, cell.names) as clients:
         source = CellSource(list(clients.values()))
-        if given.render:
+        if args.render:
             snapshot = snapshot_of(source.status())
-            return _picture(given, cell, snapshot, TipPath(tips_in(cell)).add(snapshot))
+            return _picture(args, cell, snapshot, TipPath(tips_in(cell)).add(snapshot))
         from console.visualisation.scene import CellScene
         from console.visualisation.window import follow, open_window
 
@@ -86,40 +86,40 @@ def _until_the_runtime_ends() -> Iterator[None]:
         sys.stdout.write(f"the runtime has ended ({gone})\n")
 
 
-def _recorded(given: argparse.Namespace) -> int:
-    wanted = load_arm(given.arm) if given.arm else None
+def _recorded(args: argparse.Namespace) -> int:
+    wanted = load_arm(args.arm) if args.arm else None
     with Bar("read") as bar:
-        whole = read_log(Path(given.log), wanted, lambda done: bar.advance("read", done))
+        whole = read_log(Path(args.log), wanted, lambda done: bar.advance("read", done))
     warn(whole.notes)
     if not len(whole):
-        raise ArmError(f"{given.log}: empty recording: a header without cycles")
+        raise ArmError(f"{args.log}: empty recording: a header without cycles")
     shown = whole.arm or whole.cell
     if shown is None:
-        raise ArmError(f"{given.log}: its arm is unknown: give it with --arm")
-    series = chosen(whole, given.run, given.from_s, given.to_s)
-    if given.render:
-        return _render(given, shown, series)
-    if given.rerun is not None:
+        raise ArmError(f"{args.log}: its arm is unknown: give it with --arm")
+    series = chosen(whole, args.run, args.from_s, args.to_s)
+    if args.render:
+        return _render(args, shown, series)
+    if args.rerun is not None:
         if isinstance(shown, Cell):
             raise ArmError("--rerun: shows one arm: give the recording of one, in the cell's folder")
         from console.visualisation.streams import stream
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
-        count = stream(shown, (snapshot_at(series, int(row)) for row in rows), _file(given.rerun))
+        count = stream(shown, (snapshot_at(series, int(row)) for row in rows), _file(args.rerun))
         sys.stdout.write(f"{count} samples sent to Rerun\n")
         return 0
-    _play(given, shown, series)
+    _play(args, shown, series)
     return 0
 
 
-def _play(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> None:
+def _play(args: argparse.Namespace, shown: Arm | Cell, series: Series) -> None:
     from console.visualisation.scene import scene_of
     from console.visualisation.window import open_window, play
 
     rows = _rows(series, 1.0 / 60.0)
     scene = scene_of(shown)
     sys.stdout.write("solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n")
-    play(scene, series, rows, traces_of(series, scene.tips), given.speed, MonotonicClock(), open_window)
+    play(scene, series, rows, traces_of(series, scene.tips), args.speed, MonotonicClock(), open_window)
 
 
 def _rows(series: Series, period_s: float) -> Sequence[int]:
@@ -129,10 +129,10 @@ def _rows(series: Series, period_s: float) -> Sequence[int]:
     return [int(row) for row in rows]
 
 
-def _render(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> int:
+def _render(args: argparse.Namespace, shown: Arm | Cell, series: Series) -> int:
     """Render the last sample, or a picture every `--speed`/`--fps` seconds of the recording."""
-    out = _picture_path(given.render)
-    rows = _rows(series, given.speed / given.fps)
+    out = _picture_path(args.render)
+    rows = _rows(series, args.speed / args.fps)
     if out.suffix == ".png":
         rows = rows[-1:]
     if len(rows) > FRAMES_MOST:
@@ -143,7 +143,7 @@ def _render(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> int
     paint = painter_of(shown, _warn, is_still=out.suffix == ".png")
     images = frames(series, rows, traces_of(series, tips_in(shown)), paint)
     with Bar("render") as bar:
-        files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / given.fps)
+        files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / args.fps)
     sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} samples)\n")
     return 0
 
@@ -164,22 +164,22 @@ def _picture_path(text: str) -> Path:
     return path
 
 
-def _live(given: argparse.Namespace) -> int:
+def _live(args: argparse.Namespace) -> int:
     for name in ("run", "from_s", "to_s"):
-        if getattr(given, name) is not None:
+        if getattr(args, name) is not None:
             raise ArmError("--run, --from and --to need a LOG")
-    given.arm = given.arm or "right"
-    arm, client = load_arm(given.arm), connected(given)
-    if given.render:
-        return _snapshot(given, arm, snapshot_of(client.status()))
-    if given.foxglove is not None:
-        return _serve(given, arm, client)
+    args.arm = args.arm or "right"
+    arm, client = load_arm(args.arm), connected(args)
+    if args.render:
+        return _snapshot(args, arm, snapshot_of(client.status()))
+    if args.foxglove is not None:
+        return _serve(args, arm, client)
     snapshots = live(client, MonotonicClock(), LIVE_PERIOD_s)
     with contextlib.closing(client), _until_the_runtime_ends():
-        if given.rerun is not None:
+        if args.rerun is not None:
             from console.visualisation.streams import stream
 
-            stream(arm, snapshots, _file(given.rerun))
+            stream(arm, snapshots, _file(args.rerun))
         else:
             from console.visualisation.scene import ArmScene
             from console.visualisation.window import follow, open_window
@@ -188,13 +188,13 @@ def _live(given: argparse.Namespace) -> int:
     return 0
 
 
-def _serve(given: argparse.Namespace, arm: Arm, client: ArmClient) -> int:
+def _serve(args: argparse.Namespace, arm: Arm, client: ArmClient) -> int:
     """Serve the live arm to Foxglove until Ctrl-C, or until the runtime ends."""
     from console.visualisation.streams import address_of, serve
 
     statuses = live_statuses(client, MonotonicClock(), LIVE_PERIOD_s)
     with contextlib.closing(client), _until_the_runtime_ends(), contextlib.suppress(KeyboardInterrupt):
-        serve(arm, statuses, address_of(given.foxglove), _announce)
+        serve(arm, statuses, address_of(args.foxglove), _announce)
     return 0
 
 
@@ -203,13 +203,13 @@ def _announce(url: str) -> None:
     sys.stdout.flush()
 
 
-def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
+def _snapshot(args: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
     """Render the present pose as one picture."""
-    return _picture(given, arm, snapshot, TipPath(tips_in(arm)).add(snapshot))
+    return _picture(args, arm, snapshot, TipPath(tips_in(arm)).add(snapshot))
 
 
-def _picture(given: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, traces: Traces) -> int:
-    out = _picture_path(given.render)
+def _picture(args: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, traces: Traces) -> int:
+    out = _picture_path(args.render)
     if out.suffix != ".png":
         raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
     image = painter_of(shown, _warn, is_still=True)(snapshot, traces)

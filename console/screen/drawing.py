@@ -417,16 +417,16 @@ def _placed(
     for axis in axes:
         values = [point[axis] for point in points]
         spans.append((grid_m * math.floor(min(values) / grid_m), grid_m * math.ceil(max(values) / grid_m)))
-    (left, right), (low, high) = spans
+    (left_m, right_m), (low_m, high_m) = spans
     wide, tall = canvas.width - 1 - 2 * _MARGIN_dots, canvas.height - 1 - 2 * _MARGIN_dots
-    scale = max(min(wide / max(right - left, grid_m), tall / max(high - low, grid_m)), 1.0)
-    edge = (canvas.width - 1 - scale * (right - left)) / 2.0
-    free = (canvas.height - 1 - scale * (high - low)) / 2.0
+    scale = max(min(wide / max(right_m - left_m, grid_m), tall / max(high_m - low_m, grid_m)), 1.0)
+    edge = (canvas.width - 1 - scale * (right_m - left_m)) / 2.0
+    free = (canvas.height - 1 - scale * (high_m - low_m)) / 2.0
     bottom = canvas.height - 1 - (min(free, 2 * _MARGIN_dots) if axes == SIDE else free)
     across, up = axes
 
     def place(point: Point) -> tuple[int, int]:
-        return round(edge + scale * (point[across] - left)), round(bottom - scale * (point[up] - low))
+        return round(edge + scale * (point[across] - left_m)), round(bottom - scale * (point[up] - low_m))
 
     return place, scale
 
@@ -556,10 +556,10 @@ class EventLog(RichLog, can_focus=False):
 
     def add(self, text: str, look: str = "plain", at: str = "") -> None:
         """Add an entry, with the time `at` before it."""
-        for one in text.splitlines() or [""]:
-            self._entries.append((at, one, look))
+        for line in text.splitlines() or [""]:
+            self._entries.append((at, line, look))
             if self._width:
-                self._draw(at, one, look)
+                self._draw(at, line, look)
 
     def on_resize(self, event: events.Resize) -> None:
         """Wrap again."""

@@ -283,11 +283,11 @@ class ScreenOperator:
         self.record(text)
 
     async def _step_line(self, line: ParsedLine) -> bool:
-        given = line.given
-        if (given.joint is None) == (given.axis is None):
+        args = line.given
+        if (args.joint is None) == (args.axis is None):
             self._say("jog: give either --joint or --axis", True)
             return False
-        self.step(JogTarget(given.joint, given.axis, given.frame == "tip"), given.by, given.speed or 0.0)
+        self.step(JogTarget(args.joint, args.axis, args.frame == "tip"), args.by, args.speed or 0.0)
         return True
 
     # ---- processes

@@ -135,10 +135,10 @@ class SessionScreen(Screen[None]):
     def _draw_board(self) -> None:
         if not self._board:
             return
-        for left in self.query("#session_left"):
-            legend = legend_rows(left.size.width)
+        for panel in self.query("#session_left"):
+            legend = legend_rows(panel.size.width)
             self._put("legend", legend)
-            self._put("board", board_rows(self._board, left.size.width, left.size.height - len(legend)))
+            self._put("board", board_rows(self._board, panel.size.width, panel.size.height - len(legend)))
 
     def on_resize(self) -> None:
         """The board fills its panel."""
@@ -219,14 +219,14 @@ HEADING = f"{'point':<12}{'model mm':>9}{'others mm':>11}{'in sd':>7}"
 def legend_rows(width: int) -> list[Row]:
     """The legend of the board, wrapped."""
     rows: list[Row] = []
-    taken = width
+    column = width
     for mark, meaning in MEANINGS.items():
         spans = row(SIGNS[mark], (f" {meaning}  ", "muted"))
-        if taken + len(meaning) + 4 > width + 2:
+        if column + len(meaning) + 4 > width + 2:
             rows.append(())
-            taken = 0
+            column = 0
         rows[-1] += spans
-        taken += len(meaning) + 4
+        column += len(meaning) + 4
     return rows
 
 

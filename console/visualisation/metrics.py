@@ -122,29 +122,29 @@ def _finite(values: Array) -> Array:
 
 
 def _rms(values: Array) -> float | None:
-    found = _finite(values)
-    return math.sqrt(float(np.mean(found**2))) if len(found) else None
+    valid = _finite(values)
+    return math.sqrt(float(np.mean(valid**2))) if len(valid) else None
 
 
 def _peak(values: Array) -> float | None:
-    found = _finite(values)
-    return float(np.max(np.abs(found))) if len(found) else None
+    valid = _finite(values)
+    return float(np.max(np.abs(valid))) if len(valid) else None
 
 
 def _least(values: Array) -> float | None:
-    found = _finite(values)
-    found = found[found > 0.0]  # before the first answer of a board
-    return float(np.min(found)) if len(found) else None
+    valid = _finite(values)
+    valid = valid[valid > 0.0]  # before the first answer of a board
+    return float(np.min(valid)) if len(valid) else None
 
 
 def _most(values: Array) -> float | None:
-    found = _finite(values)
-    return float(np.max(found)) if len(found) else None
+    valid = _finite(values)
+    return float(np.max(valid)) if len(valid) else None
 
 
 def _quantile(values: Array, share: float) -> float | None:
-    found = _finite(values)
-    return float(np.quantile(found, share)) if len(found) else None
+    valid = _finite(values)
+    return float(np.quantile(valid, share)) if len(valid) else None
 
 
 def _saturated(values: Array, limit: Array | float | None) -> float | None:

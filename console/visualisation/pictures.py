@@ -57,15 +57,15 @@ def joint_axes(figure: FigureBase, joints: Sequence[int]) -> list[Axes]:
     columns = columns_of(joints)
     rows = math.ceil(len(joints) / columns)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    left = 0.075 if columns == 1 else 0.07
+    margin = 0.075 if columns == 1 else 0.07
     height_in = 0.85 + 1.45 * rows
-    figure.subplots_adjust(left=left, right=0.985, top=1 - 0.42 / height_in, bottom=0.5 / height_in, hspace=0.28, wspace=0.16)
-    axes = [one for row in grid for one in row]
+    figure.subplots_adjust(left=margin, right=0.985, top=1 - 0.42 / height_in, bottom=0.5 / height_in, hspace=0.28, wspace=0.16)
+    axes = [ax for row in grid for ax in row]
     for spare in axes[len(joints) :]:
         spare.set_visible(False)
-    for one in axes[max(0, len(joints) - columns) : len(joints)]:
-        one.set_xlabel("time [s]")
-        one.tick_params(labelbottom=True)
+    for ax in axes[max(0, len(joints) - columns) : len(joints)]:
+        ax.set_xlabel("time [s]")
+        ax.tick_params(labelbottom=True)
     return axes[: len(joints)]
 
 
@@ -119,12 +119,12 @@ def draw_supply(figure: FigureBase, series: Series, joints: Sequence[int]) -> No
     """Supply voltage and temperature of every drive."""
     axes = figure.subplots(2, 1, sharex=True)
     figure.subplots_adjust(left=0.075, right=0.985, top=0.86, bottom=0.12, hspace=0.22)
-    for one, values, label in ((axes[0], series.supply_V, "supply [V]"), (axes[1], series.temperature_C, "temperature [°C]")):
-        mark_runs(one, series)
+    for ax, values, label in ((axes[0], series.supply_V, "supply [V]"), (axes[1], series.temperature_C, "temperature [°C]")):
+        mark_runs(ax, series)
         for joint in joints:
             shown = np.where(values[:, joint - 1] > 0.0, values[:, joint - 1], np.nan)
-            curve(one, series, shown, **style_of(joint), label=series.joint_name(joint))
-        one.set_ylabel(label)
+            curve(ax, series, shown, **style_of(joint), label=series.joint_name(joint))
+        ax.set_ylabel(label)
     legend(axes[0])
     axes[1].set_xlabel("time [s]")
 
@@ -205,15 +205,15 @@ def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
         (series.busy_s, "busy", SET, "--"),
         (series.age_s, "age of counts", "#009E73", ":"),
     ):
-        found = np.sort(values[np.isfinite(values)])
-        if not len(found):
+        ordered_s = np.sort(values[np.isfinite(values)])
+        if not len(ordered_s):
             continue
         curve(axes[0], series, 1e6 * values, color=colour, linestyle=line, label=label, linewidth=0.7)
-        if found[-1] <= LEAST_s:  # nothing is late on a stepped clock
+        if ordered_s[-1] <= LEAST_s:  # nothing is late on a stepped clock
             continue
-        share = 1.0 - np.arange(len(found)) / len(found)
-        pick = np.unique(np.concatenate([np.geomspace(1, len(found), 300).astype(int), [1]]))
-        axes[1].loglog(1e6 * np.maximum(found[-pick], LEAST_s), share[-pick], color=colour, linestyle=line, label=label)
+        share = 1.0 - np.arange(len(ordered_s)) / len(ordered_s)
+        pick = np.unique(np.concatenate([np.geomspace(1, len(ordered_s), 300).astype(int), [1]]))
+        axes[1].loglog(1e6 * np.maximum(ordered_s[-pick], LEAST_s), share[-pick], color=colour, linestyle=line, label=label)
     for total, label, colour in (
         (series.missed, "deadlines missed", LIMIT),
         (np.nancumsum(series.switches), "switches", MEASURED),
@@ -226,8 +226,8 @@ def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
     axes[2].set(xlabel="time [s]", ylabel="so far [1]")
     legend(axes[0])
     legend(axes[2])
-    for one in axes:
-        say_if_empty(one)
+    for ax in axes:
+        say_if_empty(ax)
 
 
 if TYPE_CHECKING:
@@ -258,8 +258,8 @@ def draw_errors(figure: FigureBase, series: Series, joints: Sequence[int]) -> No
         axes.axhline(0.0, color=LIMIT, linewidth=0.6)
         curve(axes, series, error, color=MEASURED)
         axes.set_ylabel("error [mrad]")
-        found = error[np.isfinite(error)]
-        figures = f": rms {rms(found):.3g}, largest {np.abs(found).max():.3g} mrad" if len(found) else ""
+        valid = error[np.isfinite(error)]
+        figures = f": rms {rms(valid):.3g}, largest {np.abs(valid).max():.3g} mrad" if len(valid) else ""
         head(axes, f"{series.joint_name(joint)}{figures}")
 
 
@@ -270,9 +270,9 @@ def draw_currents(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
         mark_runs(axes, series)
         curve(axes, series, current, color=MEASURED)
         axes.set_ylabel("current [A]")
-        found = current[np.isfinite(current)]
-        figures = f": rms {rms(found):.3g}, peak {np.abs(found).max():.3g} A" if len(found) else ""
-        _limit(axes, found, drive.current_limit_A if drive else None, "A")
+        valid = current[np.isfinite(current)]
+        figures = f": rms {rms(valid):.3g}, peak {np.abs(valid).max():.3g} A" if len(valid) else ""
+        _limit(axes, valid, drive.current_limit_A if drive else None, "A")
         head(axes, f"{series.joint_name(joint)}{figures}")
 
 
@@ -285,9 +285,9 @@ def draw_voltages(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
         curve(axes, series, voltage, color=MEASURED)
         axes.set_ylabel("voltage [V]")
         most = np.nanmax(supply) if (np.nan_to_num(supply) > 0.0).any() else drive.supply_V if drive else None
-        found = voltage[np.isfinite(voltage)]
-        _limit(axes, found, most, "V")
-        head(axes, f"{series.joint_name(joint)}: peak {np.abs(found).max():.3g} V" if len(found) else series.joint_name(joint))
+        valid = voltage[np.isfinite(voltage)]
+        _limit(axes, valid, most, "V")
+        head(axes, f"{series.joint_name(joint)}: peak {np.abs(valid).max():.3g} V" if len(valid) else series.joint_name(joint))
 
 
 def _limit(axes: Axes, values: Array, limit: float | None, unit: str) -> None:

@@ -138,16 +138,16 @@ def series_of_cell(folder: Path) -> Series:
     Runs and what the process says are those of the first arm. RecordError if the files are not of one run of a cell.
     """
     recordings = recordings_in(folder)
-    rows = [rows_of(one) for one in recordings]
-    common = reduce(np.intersect1d, [one["cycle"] for one in rows])
-    at = [one[np.searchsorted(one["cycle"], common)] for one in rows]
-    apart_s = np.ptp([one["t_s"] for one in at], axis=0)
+    rows = [rows_of(recording) for recording in recordings]
+    common = reduce(np.intersect1d, [table["cycle"] for table in rows])
+    shared = [table[np.searchsorted(table["cycle"], common)] for table in rows]
+    apart_s = np.ptp([table["t_s"] for table in shared], axis=0)
     if not len(common) or apart_s.max() > SAME_S:
-        names = ", ".join(arm_of(one) for one in recordings)
+        names = ", ".join(arm_of(recording) for recording in recordings)
         raise RecordError(f"{folder}: {names} have no cycles in common: they are not of one run of `armwright serve`")
-    found = [_known(of_recording(one, own)) for one, own in zip(recordings, at, strict=True)]
-    first = found[0]
-    joined: dict[str, Any] = {name: np.hstack([getattr(one, name) for one in found]) for name in PER_JOINT}
+    per_arm = [_known(of_recording(recording, table)) for recording, table in zip(recordings, shared, strict=True)]
+    first = per_arm[0]
+    joined: dict[str, Any] = {name: np.hstack([getattr(series, name) for series in per_arm]) for name in PER_JOINT}
     return replace(
         first,
         **joined,
@@ -156,7 +156,7 @@ def series_of_cell(folder: Path) -> Series:
         tip_m=np.full((len(first), 3), np.nan),
         arm=None,
         cell=recorded_cell(recordings),
-        notes=tuple(note for one in found for note in one.notes),
+        notes=tuple(note for series in per_arm for note in series.notes),
     )
 
 
@@ -232,11 +232,11 @@ class _Table:
     def columns(self) -> dict[str, Array]:
         """Columns by name, NaN where a message lacks the field; `t_s` from the messages' times."""
         count = len(self.times_ns)
-        found = {
+        columns = {
             key: np.concatenate([np.array(column), np.full(count - len(column), np.nan)]) for key, column in self._columns.items()
         }
         times_ns = np.array(self.times_ns, dtype=np.int64)
-        return {**found, "t_s": (times_ns - times_ns[0]) / 1e9}
+        return {**columns, "t_s": (times_ns - times_ns[0]) / 1e9}
 
 
 def _read(file: BinaryIO, table: _Table, report: Callable[[], None]) -> None:

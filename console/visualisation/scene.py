@@ -115,9 +115,9 @@ class Scene:
         arms = self.model.geom_bodyid > 0
         at_m, radius_m = self.data.geom_xpos[arms], self.model.geom_rbound[arms, None]
         ways = np.concatenate((np.eye(3), -np.eye(3)))
-        found = [at_m + radius_m * way for way in ways]
-        found += [traces.commanded_m, traces.measured_m, traces.camera_m]
-        points = np.concatenate(found)
+        seen_m = [at_m + radius_m * way for way in ways]
+        seen_m += [traces.commanded_m, traces.measured_m, traces.camera_m]
+        points = np.concatenate(seen_m)
         self._view = nearest_view(points[np.isfinite(points).all(axis=1)])
 
     def camera(self) -> Any:
@@ -148,9 +148,9 @@ class CellScene(Scene):
         spec = mujoco.MjSpec()
         for placed in cell.arms:
             both = _twice(placed.arm)
-            for one in (spec, both):  # MuJoCo warns where options differ; no physics runs here
-                one.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-                one.option.gravity = cell.arms[0].arm.gravity_m_s2
+            for model_spec in (spec, both):  # MuJoCo warns where options differ; no physics runs here
+                model_spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+                model_spec.option.gravity = cell.arms[0].arm.gravity_m_s2
             frame = spec.worldbody.add_frame(pos=placed.origin_m, quat=placed.orientation)
             spec.attach(both, prefix=f"{placed.name}/", frame=frame)
         _furnish(spec, size, min(placed.origin_m[2] + _floor_m(placed.arm) for placed in cell.arms))

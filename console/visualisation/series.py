@@ -314,11 +314,11 @@ def _one_way(turns: Array) -> list[slice]:
     direction[~np.isfinite(direction)] = 0.0
     changes = np.flatnonzero(np.diff(direction)) + 1
     ends = np.concatenate([[0], changes, [len(direction)]]).astype(np.int64)
-    found = []
+    stretches = []
     for a, b in itertools.pairwise(ends):
         if b > a and direction[a] != 0.0 and abs(turns[b] - turns[a]) >= TURNS:
-            found.append(slice(int(a), int(b) + 1))
-    return found
+            stretches.append(slice(int(a), int(b) + 1))
+    return stretches
 
 
 def _turn_spectra(turns: Array, values: Array) -> list[Array]:
@@ -326,7 +326,7 @@ def _turn_spectra(turns: Array, values: Array) -> list[Array]:
         return []
     if turns[-1] < turns[0]:
         turns, values = turns[::-1], values[::-1]
-    count, found = TURNS * PER_TURN, []
+    count, spectra = TURNS * PER_TURN, []
     window: NDArray[np.float64] = np.hanning(count)
     for k in range(int((turns[-1] - turns[0]) / TURNS)):
         grid = turns[0] + TURNS * k + np.arange(count) / PER_TURN
@@ -336,5 +336,5 @@ def _turn_spectra(turns: Array, values: Array) -> list[Array]:
         sampled = np.interp(grid, turns, values)
         line = np.polynomial.polynomial.polyfit(grid - grid[0], sampled, 1)
         sampled = sampled - line[0] - line[1] * (grid - grid[0])
-        found.append(np.abs(np.fft.rfft(window * sampled)) ** 2)
-    return found
+        spectra.append(np.abs(np.fft.rfft(window * sampled)) ** 2)
+    return spectra

@@ -115,10 +115,10 @@ class CellSource:
 
     def status(self) -> Message:
         """One status, as of the first arm."""
-        found = [source.status() for source in self._sources]
+        statuses = [source.status() for source in self._sources]
         keys = ("q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A")
-        joined = {key: [value for one in found for value in one[key]] for key in keys}
-        return {**found[0], **joined, "camera_m": None}
+        joined = {key: [value for one in statuses for value in one[key]] for key in keys}
+        return {**statuses[0], **joined, "camera_m": None}
 
 
 POINTS_MOST: Final = 4000
@@ -149,11 +149,11 @@ def traces_of(series: Series, tips: TipsOf) -> Traces:
 
 def tips_of(kinematics: ForwardKinematics, angles_rad: Array) -> Array:
     """Tips (m, 3) of angles (m, n); NaN where an angle is NaN."""
-    found = np.full((len(angles_rad), 3), np.nan)
+    tips_m = np.full((len(angles_rad), 3), np.nan)
     rows = np.isfinite(angles_rad).all(axis=1)
     if rows.any():
-        found[rows] = kinematics.tips(angles_rad[rows])
-    return found
+        tips_m[rows] = kinematics.tips(angles_rad[rows])
+    return tips_m
 
 
 class TipsOf(Protocol):
@@ -181,12 +181,12 @@ class TipsOfCell:
 
     def __call__(self, angles_rad: Angles) -> Array:
         """Tips (arms, m, 3)."""
-        table, at, found = np.asarray(angles_rad, dtype=np.float64), 0, []
+        table, at, tips_m = np.asarray(angles_rad, dtype=np.float64), 0, []
         for placed, kinematics in self._arms:
             tips = tips_of(kinematics, table[:, at : at + placed.arm.joint_count])
-            found.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
+            tips_m.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
             at += placed.arm.joint_count
-        return np.array(found)
+        return np.array(tips_m)
 
 
 def tips_in(shown: Arm | Cell) -> TipsOf:

@@ -41,20 +41,20 @@ BASE_POINTS = "points_base.csv"
 RESULTS = ("arm.toml", "calibration.json", "report.html", BASE_POINTS)
 
 
-def run_calibrate(given: argparse.Namespace) -> int:
+def run_calibrate(args: argparse.Namespace) -> int:
     """Read, identify, validate, write. Nothing is written before all input has been read and checked."""
-    arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
+    arm, out, forms = load_arm(args.arm), Path(args.out), _forms(args.export or [])
     require_new(out, (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)))
-    record = options.record_of(given, "calibrate", arm.name)
-    plan = _plan(given)
-    points, warnings = _read(given, arm)
+    record = options.record_of(args, "calibrate", arm.name)
+    plan = _plan(args)
+    points, warnings = _read(args, arm)
     with Bar("calibrate") as bar:
         made = calibrate(arm, points, plan, bar.advance)
     warn((*warnings, *made.warnings))
-    files = _write(given, made, out, forms)
+    files = _write(args, made, out, forms)
     if record is not None:
-        record.append(made_today(*_inputs(given, arm)).hashes, geometry_of(made.problem, made.found))
-    answer(given, files["for programs"], summary_text(made), files)
+        record.append(made_today(*_inputs(args, arm)).hashes, geometry_of(made.problem, made.found))
+    answer(args, files["for programs"], summary_text(made), files)
     return 0
 
 
@@ -67,15 +67,15 @@ def _forms(texts: list[str]) -> list[str]:
     return forms
 
 
-def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
+def _read(args: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
     """The points of all files, without those that the operator omits."""
-    points, warnings = points_for(arm, [Path(name) for name in given.points], given.as_given)
+    points, warnings = points_for(arm, [Path(name) for name in args.points], args.as_given)
     if "distance_of" in points.extra:
         raise CalibrationError(
             "the points have lengths (column distance_of): calibrate with `armwright calibrate-distances`, which uses measured"
             " tips, too"
         )
-    left_out = _rows_of(points, given.without or [])
+    left_out = _rows_of(points, args.without or [])
     if left_out:
         points = points.chosen([k for k in range(len(points)) if k not in left_out])
     return points, warnings
@@ -83,7 +83,7 @@ def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]
 
 def _rows_of(points: Points, names: list[str]) -> set[int]:
     """Rows named as SETUP, SETUP:POINT or SETUP:POINT:REPEAT; CalibrationError if there are none."""
-    found: set[int] = set()
+    named_rows: set[int] = set()
     for name in names:
         wanted = name.split(":")
         rows = {
@@ -96,26 +96,26 @@ def _rows_of(points: Points, names: list[str]) -> set[int]:
                 f'--without "{name}": no such pose; expected SETUP, SETUP:POINT or SETUP:POINT:REPEAT, with a setup'
                 f" of {', '.join(dict.fromkeys(points.setup))}"
             )
-        found |= rows
-    return found
+        named_rows |= rows
+    return named_rows
 
 
-def _plan(given: argparse.Namespace) -> CalibrationPlan:
+def _plan(args: argparse.Namespace) -> CalibrationPlan:
     """The calibration plan of the options."""
-    threshold_m = options.quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
-    accuracy_m = options.quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
+    threshold_m = options.quantity(args.huber_threshold, "m", "--huber-threshold") if args.huber_threshold else None
+    accuracy_m = options.quantity(args.accuracy, "m", "--accuracy") if args.accuracy else None
     if accuracy_m is not None and accuracy_m <= 0.0:
-        raise CalibrationError(f"--accuracy: expected a length above 0, got {given.accuracy}")
+        raise CalibrationError(f"--accuracy: expected a length above 0, got {args.accuracy}")
     choice = Choice(
-        bounds=options.bounds_of(given.bound or []),
-        fixed=options.names_in(given.fix or []),
-        freed=options.names_in(given.free or []),
-        boards=options.board_frames(given.boards),
-        effects=tuple(options.names_in(given.effect or [])),
-        orientation_noise_rad=options.orientation_noise_rad(given.orientation_noise),
+        bounds=options.bounds_of(args.bound or []),
+        fixed=options.names_in(args.fix or []),
+        freed=options.names_in(args.free or []),
+        boards=options.board_frames(args.boards),
+        effects=tuple(options.names_in(args.effect or [])),
+        orientation_noise_rad=options.orientation_noise_rad(args.orientation_noise),
     )
     return CalibrationPlan(
-        choice, objective_named(given.objective, threshold_m), accuracy_m, _leave_out(given.leave_out), given.starts, given.seed
+        choice, objective_named(args.objective, threshold_m), accuracy_m, _leave_out(args.leave_out), args.starts, args.seed
     )
 
 
@@ -129,9 +129,9 @@ def _leave_out(text: str | None) -> LeaveOut:
     raise CalibrationError(f'--leave-out: expected "setups", or k from 2 on for every k-th point, got "{text}"')
 
 
-def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[str]) -> dict[str, Path]:
+def _write(args: argparse.Namespace, made: Calibrated, out: Path, forms: list[str]) -> dict[str, Path]:
     """Write the calibrated arm, calibration.json, report.html and the exports; return the files by kind."""
-    provenance = made_today(*_inputs(given, made.nominal))
+    provenance = made_today(*_inputs(args, made.nominal))
     files = {"calibrated arm": out / "arm.toml", "for programs": out / "calibration.json"}
     write_calibrated_arm(files["calibrated arm"], made.nominal, made.found, provenance, made.points)
     more = judgement_json(made)
@@ -149,29 +149,29 @@ def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[s
     return files
 
 
-def _inputs(given: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
+def _inputs(args: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
     """Every file that the result depends on."""
-    found = [input_file(Path(name), "points: joint angles and tip measurements") for name in given.points]
+    inputs = [input_file(Path(name), "points: joint angles and tip measurements") for name in args.points]
     if arm.path is not None:
-        found.append(input_file(arm.path, "the nominal arm"))
-    if given.boards is not None:
-        found.append(input_file(Path(given.boards), "measured board poses"))
-    return tuple(found)
+        inputs.append(input_file(arm.path, "the nominal arm"))
+    if args.boards is not None:
+        inputs.append(input_file(Path(args.boards), "measured board poses"))
+    return tuple(inputs)
 
 
 DISTANCE_RESULTS = ("arm.toml", "calibration.json")
 
 
-def run_calibrate_distances(given: argparse.Namespace) -> int:
+def run_calibrate_distances(args: argparse.Namespace) -> int:
     """Read, identify, write. Nothing is written before all input has been read and checked."""
-    arm, out, file = load_arm(given.arm), Path(given.out), Path(given.points)
+    arm, out, file = load_arm(args.arm), Path(args.out), Path(args.points)
     require_new(out, DISTANCE_RESULTS)
     choice = Choice(
-        bounds=options.bounds_of(given.bound or []),
-        fixed=options.names_in(given.fix or []),
-        freed=("tool",) if given.free_tool else (),
+        bounds=options.bounds_of(args.bound or []),
+        fixed=options.names_in(args.fix or []),
+        freed=("tool",) if args.free_tool else (),
     )
-    plan = DistancePlan(choice, given.free_zero, options.wires_at(given.wire_at or []), objective_named(given.objective))
+    plan = DistancePlan(choice, args.free_zero, options.wires_at(args.wire_at or []), objective_named(args.objective))
     points, warnings = points_for(arm, [file])
     warn(warnings)
     with Bar("calibrate-distances") as bar:
@@ -181,60 +181,58 @@ def run_calibrate_distances(given: argparse.Namespace) -> int:
     provenance = made_today(input_file(file, "lengths"), *nominal)
     write_calibrated_arm(files[0], arm, made.found, provenance, points)
     write_calibration_json(files[1], arm.name, made.found, provenance, more=distances_json(made))
-    answer(given, files[1], distances_text(made) + "\n" + "".join(f"written: {one}\n" for one in files))
+    answer(args, files[1], distances_text(made) + "\n" + "".join(f"written: {one}\n" for one in files))
     return 0
 
 
 NOISE_m = 2e-4  # of a contact, to compare what contacts say with what is known of the arms
 
 
-def run_calibrate_pair(given: argparse.Namespace) -> int:
+def run_calibrate_pair(args: argparse.Namespace) -> int:
     """Read both arms and the contacts, then identify, or choose contacts."""
-    arms = (load_arm(given.arms[0]), load_arm(given.arms[1]))
-    contacts, warnings = read_contacts(Path(given.contacts), arms)
+    arms = (load_arm(args.arms[0]), load_arm(args.arms[1]))
+    contacts, warnings = read_contacts(Path(args.contacts), arms)
     warn(warnings)
-    plan = _pair_plan(given, arms)
+    plan = _pair_plan(args, arms)
     return (
-        _chosen_contacts(given, arms, contacts, plan)
-        if given.choose is not None
-        else _calibrated_pair(given, arms, contacts, plan)
+        _chosen_contacts(args, arms, contacts, plan) if args.choose is not None else _calibrated_pair(args, arms, contacts, plan)
     )
 
 
-def _pair_plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
-    tools = options.names_in(given.free_tool or [])
+def _pair_plan(args: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
+    tools = options.names_in(args.free_tool or [])
     for name in tools:
         if name not in names_of(arms):
             raise CalibrationError(f'--free-tool: expected some of {", ".join(names_of(arms))}, got "{name}"')
-    bounds = options.bounds_of(given.bound or [])
+    bounds = options.bounds_of(args.bound or [])
     if bounds.own:
         raise CalibrationError(f"--bound: expected lengths=... or angles=... of both arms, got {next(iter(bounds.own))}")
     return PairPlan(
-        bounds=bounds, fixed=options.names_in(given.fix or []), free_tools=tools, objective=objective_named(given.objective)
+        bounds=bounds, fixed=options.names_in(args.fix or []), free_tools=tools, objective=objective_named(args.objective)
     )
 
 
-def _calibrated_pair(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
-    out = Path(given.out)
+def _calibrated_pair(args: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
+    out = Path(args.out)
     require_new(out, [*(f"{name}.toml" for name in names_of(arms)), "pair.json"])
     with Bar("calibrate-pair") as bar:
-        found = calibrate_pair(arms, contacts, plan, bar.advance)
+        identification = calibrate_pair(arms, contacts, plan, bar.advance)
     nominal = [
         input_file(arm.path, "a nominal arm", f"{name}: {arm.path.name}")
         for name, arm in zip(names_of(arms), arms, strict=True)
         if arm.path is not None
     ]
-    made = made_today(input_file(Path(given.contacts), "contacts"), *nominal)
+    made = made_today(input_file(Path(args.contacts), "contacts"), *nominal)
     out.mkdir(parents=True, exist_ok=True)
-    files = write_pair(out, arms, found, plan.objective.name, made)
-    answer(given, files[-1], pair_text(arms, found) + "\n" + "".join(f"written: {file}\n" for file in files))
+    files = write_pair(out, arms, identification, plan.objective.name, made)
+    answer(args, files[-1], pair_text(arms, identification) + "\n" + "".join(f"written: {file}\n" for file in files))
     return 0
 
 
-def _chosen_contacts(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
+def _chosen_contacts(args: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
     """Print the contacts that say most about both arms."""
-    if given.choose < 1:
-        raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {given.choose}")
-    rows = choose_contacts(arms, contacts, plan, given.choose, options.length_m(given.noise, "--noise") or NOISE_m)
+    if args.choose < 1:
+        raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {args.choose}")
+    rows = choose_contacts(arms, contacts, plan, args.choose, options.length_m(args.noise, "--noise") or NOISE_m)
     sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
     return 0

@@ -21,15 +21,15 @@ from control.files import write_whole
 from procedures.folders import require_new
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Read the options, then do what is asked for."""
-    out = Path(given.out)
-    return {"board": _board, "calibrate": _calibrate, "poses": _poses}[given.what](given, out)
+    out = Path(args.out)
+    return {"board": _board, "calibrate": _calibrate, "poses": _poses}[args.what](args, out)
 
 
-def _board(given: argparse.Namespace, out: Path) -> int:
+def _board(args: argparse.Namespace, out: Path) -> int:
     """Write the target to print."""
-    target = _target(given)
+    target = _target(args)
     if not isinstance(target, targets.Charuco) and len(target.corners_m) > 1:
         raise VisionError("--tags: print each tag by itself, with --tag and --size")
     require_new(out, ["board.pdf"])
@@ -43,34 +43,34 @@ def _board(given: argparse.Namespace, out: Path) -> int:
     return 0
 
 
-def _calibrate(given: argparse.Namespace, out: Path) -> int:
+def _calibrate(args: argparse.Namespace, out: Path) -> int:
     """Identify the lens, write camera.json, say what the pictures lack."""
-    board = _target(given)
+    board = _target(args)
     if not isinstance(board, targets.Charuco):
         raise VisionError("camera calibrate: expected a ChArUco board: --board 5x7 --square 30mm")
-    if given.camera or given.points:
+    if args.camera or args.points:
         raise VisionError("camera calibrate: --camera and --points are for `armwright camera poses`")
-    (folder,) = _folders(given, 1)
+    (folder,) = _folders(args, 1)
     require_new(out, ["camera.json"])
     files = targets.picture_files(folder)
     with Bar("camera") as bar:
         pictures = targets.look_for(board, files, CORNERS_OF_A_LENS, bar.advance)
         bar.advance("fitting the lens", 0.9)
-        fit = fit_lens(board, pictures, _positive(given.readout_s, "--readout-s"))
+        fit = fit_lens(board, pictures, _positive(args.readout_s, "--readout-s"))
     path = out / "camera.json"
     made = made_today(*(input_file(file, "a picture of the board") for file in files))
     write_camera(path, fit, board.name, advice(fit), made)
-    answer(given, path, f"{lens_text(fit)}\nwritten: {path}")
+    answer(args, path, f"{lens_text(fit)}\nwritten: {path}")
     return 0
 
 
-def _poses(given: argparse.Namespace, out: Path) -> int:
+def _poses(args: argparse.Namespace, out: Path) -> int:
     """Measure the target in every picture; write markers.csv, and points.csv if the joint angles are given."""
-    target, lenses = _target(given), [(Path(name), read_camera(Path(name))) for name in given.camera or []]
+    target, lenses = _target(args), [(Path(name), read_camera(Path(name))) for name in args.camera or []]
     if not lenses:
         raise VisionError("camera poses: expected --camera camera.json, as `armwright camera calibrate` writes it")
-    folders = _folders(given, len(lenses))
-    points = None if given.points is None else read_points(Path(given.points))[0]
+    folders = _folders(args, len(lenses))
+    points = None if args.points is None else read_points(Path(args.points))[0]
     require_new(out, ["markers.csv", "points.csv"])
     with Bar("camera") as bar:
         cameras = [
@@ -80,59 +80,59 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
             for (path, lens), folder in zip(lenses, folders, strict=True)
         ]
         bar.advance("fitting poses", 0.9)
-        found = measure_poses(target, cameras, _positive(given.tip_speed, "--tip-speed"))
+        poses = measure_poses(target, cameras, _positive(args.tip_speed, "--tip-speed"))
     if points is not None:
-        measured, said = with_pictures(points, found.measured)
-        warn(said)
+        measured, notes = with_pictures(points, poses.measured)
+        warn(notes)
         write_points(out / "points.csv", measured)
-    write_whole(out / "markers.csv", poses_text(found.measured))
+    write_whole(out / "markers.csv", poses_text(poses.measured))
     written = [out / name for name in ("markers.csv", *(["points.csv"] if points is not None else []))]
     content = {
         "format": "camera-poses/1",
-        "measured": [one.name for one in found.measured],
-        "rejected": {one.name: one.reason for one in found.rejected},
-        "noise_px": found.noise_px,
+        "measured": [one.name for one in poses.measured],
+        "rejected": {one.name: one.reason for one in poses.rejected},
+        "noise_px": poses.noise_px,
         "files": [str(path) for path in written],
     }
-    answer(given, content, described(found) + "".join(f"written: {path}\n" for path in written))
+    answer(args, content, described(poses) + "".join(f"written: {path}\n" for path in written))
     return 0
 
 
-def _target(given: argparse.Namespace) -> targets.Charuco | targets.Tags:
+def _target(args: argparse.Namespace) -> targets.Charuco | targets.Tags:
     """The target of the options. VisionError unless exactly one is given."""
-    kinds = [name for name in ("board", "tag", "tags") if getattr(given, name) is not None]
+    kinds = [name for name in ("board", "tag", "tags") if getattr(args, name) is not None]
     if len(kinds) != 1:
         raise VisionError(
             "expected one target: --board 5x7 --square 30mm (ChArUco), --tag 7 --size 50mm, or --tags tags.csv; got"
             f" {' and '.join(f'--{kind}' for kind in kinds) or 'none'}"
         )
-    if given.board is not None:
-        return _charuco(given)
-    if given.square is not None or given.marker is not None or given.legacy:
+    if args.board is not None:
+        return _charuco(args)
+    if args.square is not None or args.marker is not None or args.legacy:
         raise VisionError("--square, --marker and --legacy belong to --board")
-    dictionary = given.dictionary or targets.TAG_DICTIONARY
-    if given.tags is not None:
-        return targets.read_tags(Path(given.tags), dictionary)
-    if given.size is None:
+    dictionary = args.dictionary or targets.TAG_DICTIONARY
+    if args.tags is not None:
+        return targets.read_tags(Path(args.tags), dictionary)
+    if args.size is None:
         raise VisionError("--tag: give the edge of its black square with --size, e.g. --size 50mm")
-    return targets.Tags.single(given.tag, quantity(given.size, "m", "--size"), dictionary)
+    return targets.Tags.single(args.tag, quantity(args.size, "m", "--size"), dictionary)
 
 
-def _charuco(given: argparse.Namespace) -> targets.Charuco:
-    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", given.board)
-    if found is None:
-        raise VisionError(f'--board: expected columns x rows of squares, such as 5x7, got "{given.board}"')
-    if given.square is None:
+def _charuco(args: argparse.Namespace) -> targets.Charuco:
+    match = re.fullmatch(r"(\d{1,3})x(\d{1,3})", args.board)
+    if match is None:
+        raise VisionError(f'--board: expected columns x rows of squares, such as 5x7, got "{args.board}"')
+    if args.square is None:
         raise VisionError("--board: give the edge of a square as measured on the print with --square, e.g. --square 30mm")
-    square_m = quantity(given.square, "m", "--square")
-    marker_m = quantity(given.marker, "m", "--marker") if given.marker is not None else targets.MARKER_SHARE * square_m
-    columns, rows = int(found[1]), int(found[2])
-    return targets.Charuco(columns, rows, square_m, marker_m, given.dictionary or targets.BOARD_DICTIONARY, given.legacy)
+    square_m = quantity(args.square, "m", "--square")
+    marker_m = quantity(args.marker, "m", "--marker") if args.marker is not None else targets.MARKER_SHARE * square_m
+    columns, rows = int(match[1]), int(match[2])
+    return targets.Charuco(columns, rows, square_m, marker_m, args.dictionary or targets.BOARD_DICTIONARY, args.legacy)
 
 
-def _folders(given: argparse.Namespace, count: int) -> list[Path]:
+def _folders(args: argparse.Namespace, count: int) -> list[Path]:
     """The folders of --images, one for each camera."""
-    folders = [Path(name) for name in given.images or []]
+    folders = [Path(name) for name in args.images or []]
     if len(folders) != count:
         raise VisionError(f"--images: expected {count} folder(s), one for each camera, got {len(folders)}")
     return folders

@@ -29,36 +29,36 @@ POSES_LEAST, POSES_MOST = 3, 40
 LEAST_EARLIER = 10  # points: fewer do not say what is usual
 
 
-def run_check_up(given: argparse.Namespace) -> int:
+def run_check_up(args: argparse.Namespace) -> int:
     """Plan, record, decide. Exit status 0: fine; 1: something is to be done; 2: wrong input."""
-    _require_consistent(given)
-    arm = load_arm(given.arm)
-    if not given.plan_only:
-        require_new(Path(given.out), (RESULT,))
-    earlier = _measured(arm, given.points, LEAST_EARLIER, given.as_given)
-    if given.recorded is not None:
-        new = _measured(arm, [given.recorded], POSES_LEAST, given.as_given)
+    _require_consistent(args)
+    arm = load_arm(args.arm)
+    if not args.plan_only:
+        require_new(Path(args.out), (RESULT,))
+    earlier = _measured(arm, args.points, LEAST_EARLIER, args.as_given)
+    if args.recorded is not None:
+        new = _measured(arm, [args.recorded], POSES_LEAST, args.as_given)
     else:
-        plan = checkup_plan(arm, earlier, given.poses or POSES, 1.0 if given.mock else REAL_SPEED)
-        if given.plan_only:
+        plan = checkup_plan(arm, earlier, args.poses or POSES, 1.0 if args.mock else REAL_SPEED)
+        if args.plan_only:
             sys.stdout.write(_plan_text(plan))
             return 0
-        out = Path(given.out)
-        _record(given, arm, plan, out)
-        new = _measured(arm, [str(out / "points.csv")], POSES_LEAST, given.as_given)
-    found = decide(expectation_of(arm, earlier, new))
-    content = decision_json(found)
-    write_json(Path(given.out) / RESULT, content)
-    answer(given, content, "\n".join(sentences(found)))
-    return 0 if found.action == "fine" and found.is_sure else 1
+        out = Path(args.out)
+        _record(args, arm, plan, out)
+        new = _measured(arm, [str(out / "points.csv")], POSES_LEAST, args.as_given)
+    decision = decide(expectation_of(arm, earlier, new))
+    content = decision_json(decision)
+    write_json(Path(args.out) / RESULT, content)
+    answer(args, content, "\n".join(sentences(decision)))
+    return 0 if decision.action == "fine" and decision.is_sure else 1
 
 
-def _require_consistent(given: argparse.Namespace) -> None:
-    if given.poses is not None and not POSES_LEAST <= given.poses <= POSES_MOST:
-        raise CalibrationError(f"--poses: expected {POSES_LEAST} to {POSES_MOST}, got {given.poses}")
-    if given.recorded is not None and (given.mock or given.plan_only or given.poses is not None):
+def _require_consistent(args: argparse.Namespace) -> None:
+    if args.poses is not None and not POSES_LEAST <= args.poses <= POSES_MOST:
+        raise CalibrationError(f"--poses: expected {POSES_LEAST} to {POSES_MOST}, got {args.poses}")
+    if args.recorded is not None and (args.mock or args.plan_only or args.poses is not None):
         raise CalibrationError("--recorded: nothing moves; omit --mock, --plan-only and --poses")
-    if not given.mock and (given.scenario is not None or given.seed is not None):
+    if not args.mock and (args.scenario is not None or args.seed is not None):
         raise CalibrationError("--scenario and --seed need --mock")
 
 
@@ -74,9 +74,9 @@ def _measured(arm: Arm, files: list[str], least: int, is_as_given: bool) -> Poin
     return points.chosen(rows)
 
 
-def _record(given: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path) -> None:
+def _record(args: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path) -> None:
     sys.stderr.write(f"{len(plan.visits)} visits, about {plan.duration_s / 60.0:.1f} minutes\n")
-    recorded(given, arm, plan, out, mocked_arm(arm) if given.mock else arm, "check-up")
+    recorded(args, arm, plan, out, mocked_arm(arm) if args.mock else arm, "check-up")
 
 
 def mocked_arm(arm: Arm) -> Arm:
@@ -106,9 +106,9 @@ def _signs(direction: tuple[int, ...]) -> str:
     return "".join("+" if one > 0 else "-" for one in direction)
 
 
-def run_trend(given: argparse.Namespace) -> int:
+def run_trend(args: argparse.Namespace) -> int:
     """Read the record and print."""
-    arm, wanted_m = load_arm(given.arm), length_m(given.tolerance, "--tolerance")
-    trend = trend_of(arm, read_history(Path(given.history), arm.name), wanted_m)
-    answer(given, trend_json(trend), as_text(trend))
+    arm, wanted_m = load_arm(args.arm), length_m(args.tolerance, "--tolerance")
+    trend = trend_of(arm, read_history(Path(args.history), arm.name), wanted_m)
+    answer(args, trend_json(trend), as_text(trend))
     return 0

@@ -30,62 +30,62 @@ MOTION_SHARE = 0.8  # of the mass that the motors move: friction and the control
 MINUTES_MOST = 600.0
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Record if requested, analyse, write. Nothing is written before all input has been read and checked."""
-    arm, without = load_arm(given.arm), tuple(given.without or ())
+    arm, without = load_arm(args.arm), tuple(args.without or ())
     require_effects(without)
-    record_of(given, "gap", arm.name)
-    if not given.plan_only:
-        require_free(Path(given.out))
-        require_writable(Path(given.out))
-    if given.record:
-        return _record(given, arm, without)
+    record_of(args, "gap", arm.name)
+    if not args.plan_only:
+        require_free(Path(args.out))
+        require_writable(Path(args.out))
+    if args.record:
+        return _record(args, arm, without)
     for name in ("mock", "plan_only", "record_only", "quick", "minutes", "payload", "only", "scenario", "seed"):
-        if getattr(given, name) is not None and getattr(given, name) is not False:
+        if getattr(args, name) is not None and getattr(args, name) is not False:
             raise CalibrationError(f"--{name.replace('_', '-')} needs --record")
-    return _look(given, arm, given.points or [], given.log or [], without)
+    return _look(args, arm, args.points or [], args.log or [], without)
 
 
-def _look(given: argparse.Namespace, arm: Arm, points: list[str], logs: list[str], without: tuple[str, ...]) -> int:
-    record, out = record_of(given, "gap", arm.name), Path(given.out)
-    recordings = read_recordings(arm, points, logs, given.current_unit, given.as_given)
+def _look(args: argparse.Namespace, arm: Arm, points: list[str], logs: list[str], without: tuple[str, ...]) -> int:
+    record, out = record_of(args, "gap", arm.name), Path(args.out)
+    recordings = read_recordings(arm, points, logs, args.current_unit, args.as_given)
     with Bar("gap") as bar:
-        outcome = find_gap_in(arm, recordings, without, bar.advance, given.map)
+        outcome = find_gap_in(arm, recordings, without, bar.advance, args.map)
     model = write_gap(outcome, arm, recordings, out)
     if record is not None and model.calibration is not None:
         record.append(model.calibration.inputs, quantities=quantities_of(outcome.finding))
-    _say(given, outcome, out, bool(points))
+    _say(args, outcome, out, bool(points))
     return 0
 
 
-def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: bool) -> None:
+def _say(args: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: bool) -> None:
     warn(outcome.warnings)
     files = {"report": out / "report.html", "model": out / "arm.toml"}
-    answer(given, gap_content(outcome.finding), "\n".join(in_words(outcome.finding)), files)
-    if has_points and not given.json:
+    answer(args, gap_content(outcome.finding), "\n".join(in_words(outcome.finding)), files)
+    if has_points and not args.json:
         sys.stdout.write(
-            f"Next: ask other points whether to use it: armwright verify --arm {out / 'arm.toml'} --against {given.arm}"
+            f"Next: ask other points whether to use it: armwright verify --arm {out / 'arm.toml'} --against {args.arm}"
             " --points OTHERS.csv\n"
         )
 
 
-def _record(given: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int:
+def _record(args: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int:
     """Plan, print the plan, record, and analyse the recordings."""
     from calib.gap.plan import foresight
     from calib.gap.plan.plan import PlanRequest, recording_plan
 
-    _require_recording_options(given)
-    payload_kg = _payload_kg(given, arm)
-    request = PlanRequest(given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes)
-    plan = recording_plan(arm, request, 1.0 if given.mock else REAL_SPEED)
-    if given.plan_only:
+    _require_recording_options(args)
+    payload_kg = _payload_kg(args, arm)
+    request = PlanRequest(args.only != "motion", args.only != "static", payload_kg, bool(args.quick), args.minutes)
+    plan = recording_plan(arm, request, 1.0 if args.mock else REAL_SPEED)
+    if args.plan_only:
         sys.stdout.write("".join(f"{line}\n" for line in foresight.in_words(arm, plan, payload_kg)))
         return 0
-    out = Path(given.out)
+    out = Path(args.out)
     said = (foresight.in_short(arm, plan), *(foresight.of_boards(arm) if plan.runs else ()))
     sys.stderr.write("".join(f"{sentence}\n" for sentence in said))
     try:
-        recorded(given, arm, plan, out, arm, "record")
+        recorded(args, arm, plan, out, arm, "record")
     except (ArmError, CalibrationError) as error:
         if not (out / "points.csv").exists():
             raise
@@ -93,45 +93,45 @@ def _record(given: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> in
         return 1  # the arm has moved: not the exit status 2 of wrong input
     points = [str(out / "points.csv")] if plan.visits else []
     logs = [str(out / "log.csv")] if plan.runs else []
-    if given.record_only:
+    if args.record_only:
         sys.stdout.write("".join(f"recorded  {name}\n" for name in (*points, *logs)))
         return 0
-    return _look(given, arm, points, logs, without)
+    return _look(args, arm, points, logs, without)
 
 
-def _payload_kg(given: argparse.Namespace, arm: Arm) -> float:
+def _payload_kg(args: argparse.Namespace, arm: Arm) -> float:
     """The mass to record with. CalibrationError for one that the motors do not move at the acceleration limits."""
     from procedures.arm_sheet import sheet
 
-    held = sheet(arm).payload if given.mock or given.payload else None
+    held = sheet(arm).payload if args.mock or args.payload else None
     most_kg = math.inf if held is None else held.moving_kg
-    if given.payload is None:
-        return min(MOCK_PAYLOAD_kg, round(MOTION_SHARE * most_kg, 3)) if given.mock else 0.0
-    if given.payload > most_kg:
+    if args.payload is None:
+        return min(MOCK_PAYLOAD_kg, round(MOTION_SHARE * most_kg, 3)) if args.mock else 0.0
+    if args.payload > most_kg:
         raise CalibrationError(
-            f"--payload: {given.payload:g} kg, and the motors move {most_kg:.2f} kg (`armwright arm`): take less"
+            f"--payload: {args.payload:g} kg, and the motors move {most_kg:.2f} kg (`armwright arm`): take less"
         )
-    return float(given.payload)
+    return float(args.payload)
 
 
-def _require_recording_options(given: argparse.Namespace) -> None:
+def _require_recording_options(args: argparse.Namespace) -> None:
     """CalibrationError for options that contradict each other."""
-    if given.points or given.log:
+    if args.points or args.log:
         raise CalibrationError("--record makes its own recordings: omit --points and --log")
-    if given.minutes is not None and not 0.0 < given.minutes <= MINUTES_MOST:
-        raise CalibrationError(f"--minutes: expected a number above 0 and up to {MINUTES_MOST:g}, got {given.minutes:g}")
-    if given.payload is not None and not 0.0 <= given.payload <= 20.0:
-        raise CalibrationError(f"--payload: expected a mass from 0 to 20 kg, got {given.payload:g}")
-    if (given.scenario or given.seed is not None) and not given.mock:
+    if args.minutes is not None and not 0.0 < args.minutes <= MINUTES_MOST:
+        raise CalibrationError(f"--minutes: expected a number above 0 and up to {MINUTES_MOST:g}, got {args.minutes:g}")
+    if args.payload is not None and not 0.0 <= args.payload <= 20.0:
+        raise CalibrationError(f"--payload: expected a mass from 0 to 20 kg, got {args.payload:g}")
+    if (args.scenario or args.seed is not None) and not args.mock:
         raise CalibrationError("--scenario and --seed need --mock")
 
 
-def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
+def record_on_arm(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
     """Record on the connected arm, which must be homed and holding."""
     from procedures.gap.recording import record
     from procedures.tour import bench_of
 
-    with contextlib.closing(in_control_of(given, arm)) as client:
+    with contextlib.closing(in_control_of(args, arm)) as client:
         loads_kg = [step.payload_kg for step in plan.steps]
         bench = bench_of(client, loads_kg, bool(plan.visits), REAL_SPEED)
         try:
@@ -142,15 +142,15 @@ def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", ou
             raise
 
 
-def recorded(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, mocked: Arm, what: str) -> None:
+def recorded(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, mocked: Arm, what: str) -> None:
     """Record on the arm, or on a mock of `mocked`; where it ends early, the operator is told how it goes on."""
     from procedures.tour import telling_where
 
     with telling_where(out):
-        if not given.mock:
-            record_on_arm(given, arm, plan, out)
+        if not args.mock:
+            record_on_arm(args, arm, plan, out)
             return
         from procedures.gap.recording import record_on_mock
 
         with Bar(what) as bar:
-            record_on_mock(mocked, given.scenario or "demo", given.seed, plan, out, bar.advance)
+            record_on_mock(mocked, args.scenario or "demo", args.seed, plan, out, bar.advance)

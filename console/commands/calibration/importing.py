@@ -33,33 +33,33 @@ from procedures.gap.timing import on_one_clock, with_tips
 SHOWN = 3
 
 
-def run_import_points(given: argparse.Namespace) -> int:
+def run_import_points(args: argparse.Namespace) -> int:
     """Read, show what was understood, write; with a line that repeats it without questions."""
-    file = Path(given.out) / "points.csv"
-    if Path(given.out).suffix == ".csv":
-        raise ArmError(f"--out {given.out}: expected a folder, in which points.csv is written")
-    require_new(Path(given.out), ["points.csv"])
-    columns = dict(pair.partition("=")[::2] for pair in given.columns or [])
-    found = _asked(given, columns)
-    write_points(file, found.points)
+    file = Path(args.out) / "points.csv"
+    if Path(args.out).suffix == ".csv":
+        raise ArmError(f"--out {args.out}: expected a folder, in which points.csv is written")
+    require_new(Path(args.out), ["points.csv"])
+    columns = dict(pair.partition("=")[::2] for pair in args.columns or [])
+    imported = _asked(args, columns)
+    write_points(file, imported.points)
     named = [f"{ours}={name}" for ours, name in columns.items()]
-    line = ["armwright", "import-points", given.file, "--arm", given.arm, "--out", given.out]
-    line += [*(["--columns", *named] if named else []), *(["--angles", given.angles] if given.angles else [])]
-    line += ["--lengths", given.lengths] if given.lengths else []
+    line = ["armwright", "import-points", args.file, "--arm", args.arm, "--out", args.out]
+    line += [*(["--columns", *named] if named else []), *(["--angles", args.angles] if args.angles else [])]
+    line += ["--lengths", args.lengths] if args.lengths else []
     rows = file.read_text(encoding="utf-8").splitlines()[: SHOWN + 1]
-    sys.stdout.write("\n".join([*found.in_words, "", *rows, "...", f"written: {file}", "Again: " + shlex.join(line)]) + "\n")
+    sys.stdout.write("\n".join([*imported.in_words, "", *rows, "...", f"written: {file}", "Again: " + shlex.join(line)]) + "\n")
     return 0
 
 
-def _asked(given: argparse.Namespace, columns: dict[str, str]) -> Understood:
+def _asked(args: argparse.Namespace, columns: dict[str, str]) -> Understood:
     """What the table says, with the answers to what it does not."""
-    arm, sheet = load_arm(given.arm), read_sheet(Path(given.file))
+    arm, sheet = load_arm(args.arm), read_sheet(Path(args.file))
     for option, units in (("angles", ANGLES), ("lengths", LENGTHS)):
-        if getattr(given, option) not in (None, *units):
-            raise ArmError(f"--{option}: expected one of {', '.join(units)}, got {getattr(given, option)}")
+        if getattr(args, option) not in (None, *units):
+            raise ArmError(f"--{option}: expected one of {', '.join(units)}, got {getattr(args, option)}")
     while True:
         try:
-            return understood(sheet, arm, columns, given.angles, given.lengths)
+            return understood(sheet, arm, columns, args.angles, args.lengths)
         except Unclear as unclear:
             if not sys.stdin.isatty():
                 raise
@@ -69,69 +69,69 @@ def _asked(given: argparse.Namespace, columns: dict[str, str]) -> Understood:
             if unclear.option == "--columns":
                 columns[unclear.key.rstrip("=")] = answer
             else:
-                setattr(given, unclear.option.removeprefix("--"), answer)
+                setattr(args, unclear.option.removeprefix("--"), answer)
 
 
-def run_import_capture(given: argparse.Namespace) -> int:
+def run_import_capture(args: argparse.Namespace) -> int:
     """Write points of the arm's rests, or markers of the board."""
-    arm, out = load_arm(given.arm), Path(given.out)
-    files = [out / name for name in (("markers.csv",) if given.board_markers else ("points.csv", "log.csv"))]
+    arm, out = load_arm(args.arm), Path(args.out)
+    files = [out / name for name in (("markers.csv",) if args.board_markers else ("points.csv", "log.csv"))]
     require_new(out, [file.name for file in files])
-    return (_markers if given.board_markers else _points)(given, arm, files[0])
+    return (_markers if args.board_markers else _points)(args, arm, files[0])
 
 
-def _markers(given: argparse.Namespace, arm: Arm, file: Path) -> int:
+def _markers(args: argparse.Namespace, arm: Arm, file: Path) -> int:
     """Markers in the board's cavities, in the base frame."""
-    if given.log or given.body or given.run or given.json:
+    if args.log or args.body or args.run or args.json:
         raise CaptureError("--board-markers: the arm need not move: leave --log, --body, --run and --json out")
-    found = board_markers(arm, _read(Path(given.file)), given.board_markers, given.base_body or "")
-    write_whole(file, markers_text(found))
-    sys.stdout.write(f"{len(found)} markers of setup {given.board_markers}, in the base frame\nwritten: {file}\n")
+    markers = board_markers(arm, _read(Path(args.file)), args.board_markers, args.base_body or "")
+    write_whole(file, markers_text(markers))
+    sys.stdout.write(f"{len(markers)} markers of setup {args.board_markers}, in the base frame\nwritten: {file}\n")
     return 0
 
 
-def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
+def _points(args: argparse.Namespace, arm: Arm, file: Path) -> int:
     """Read both recordings, align them, write a point for each rest."""
-    if not given.log or not given.body:
+    if not args.log or not args.body:
         raise CaptureError("expected --log, the arm's log.csv, and --body, what is followed; or --board-markers")
-    log, _ = read_log(Path(given.log), arm.joint_count)
-    JointMotion.of(log, given.run)  # refuses what has no common clock
-    log, of_clock = on_one_clock(arm, log, given.run)
-    motion, of_log = JointMotion.of(log, given.run)
-    capture = _read(Path(given.file))
-    body, said = _followed(capture, given.body, given.base_body)
+    log, _ = read_log(Path(args.log), arm.joint_count)
+    JointMotion.of(log, args.run)  # refuses what has no common clock
+    log, of_clock = on_one_clock(arm, log, args.run)
+    motion, of_log = JointMotion.of(log, args.run)
+    capture = _read(Path(args.file))
+    body, notes = _followed(capture, args.body, args.base_body)
     aligned = align(arm, motion, capture.t_s, body)
-    rested = poses_at_rest(motion, capture.t_s, body, aligned, _frame(arm, given))
-    said = (*capture.notes, *of_log, *said, *rested.left_out)
-    warn(said)
+    rested = poses_at_rest(motion, capture.t_s, body, aligned, _frame(arm, args))
+    notes = (*capture.notes, *of_log, *notes, *rested.left_out)
+    warn(notes)
     write_points(file, rested.points)
-    written, about_log = _log_written(arm, given, log, motion, aligned.log_time(capture.t_s), body)
+    written, about_log = _log_written(arm, args, log, motion, aligned.log_time(capture.t_s), body)
     about = "".join(f"{sentence.rstrip('.')}.\n" for sentence in of_clock)
     content = {
         "format": "import-capture/1",
         **entries(aligned, "offset_s", "offset_sd_s", "rate", "rate_sd", "correlation"),
         "poses": len(rested.points),
         "noise_m": rested.noise_m,
-        "said": (*of_clock, *said),
+        "said": (*of_clock, *notes),
         "file": str(file),
         "log": str(written) if written is not None else None,
     }
-    answer(given, content, f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}")
+    answer(args, content, f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}")
     return 0
 
 
 def _log_written(
-    arm: Arm, given: argparse.Namespace, log: Log, motion: JointMotion, seen_s: Array, body: BodyTrack
+    arm: Arm, args: argparse.Namespace, log: Log, motion: JointMotion, seen_s: Array, body: BodyTrack
 ) -> tuple[Path | None, str]:
     """Write log.csv with the measured tips, if the stream's frame is placed; the file and a sentence."""
     stream = arm.camera.stream if arm.camera is not None else None
-    if stream is None or not stream.is_placed or _frame(arm, given) != STREAM_FRAME:
+    if stream is None or not stream.is_placed or _frame(arm, args) != STREAM_FRAME:
         return None, (
             "log.csv with tips: not yet, they are in the base frame; calibrate with these points, and import again with the"
             " calibrated arm.toml, whose [camera.stream] has these bodies and their origin_m"
         )
     with_seen = with_tips(arm, log, motion, seen_s, placed_m(stream, body.position_m))
-    file = Path(given.out) / "log.csv"
+    file = Path(args.out) / "log.csv"
     write_whole(file, log_text(arm.joint_count, [(one.name, one, one.payload) for one in with_seen.runs]))
     tips = sum(int(np.isfinite(one.tip_m[:, 0]).sum()) for one in with_seen.runs)
     return file, f"written: {file}, with {tips} tips"
@@ -152,10 +152,10 @@ def _followed(capture: Capture, name: str, base: str | None) -> tuple[BodyTrack,
     return (bodies[name] if base is None else relative(bodies[name], bodies[base])), said
 
 
-def _frame(arm: Arm, given: argparse.Namespace) -> str:
+def _frame(arm: Arm, args: argparse.Namespace) -> str:
     """That of the arm's [camera.stream] if the same bodies were followed: a calibration then places it."""
     stream = arm.camera.stream if arm.camera is not None else None
-    is_stream = stream is not None and (stream.body, stream.base_body) == (given.body, given.base_body or "")
+    is_stream = stream is not None and (stream.body, stream.base_body) == (args.body, args.base_body or "")
     return STREAM_FRAME if is_stream else CAMERA_FRAME
 
 
@@ -168,19 +168,19 @@ def _text(aligned: Alignment, rested: Rested, body: BodyTrack) -> str:
     )
 
 
-def run_register(given: argparse.Namespace) -> int:
+def run_register(args: argparse.Namespace) -> int:
     """Register every setup of the file, print residuals, write boards.json."""
-    arm = load_arm(given.arm)
+    arm = load_arm(args.arm)
     cavities = board_cavities(table_of(arm))
-    file = Path(given.markers)
+    file = Path(args.markers)
     markers = read_markers(file)
     warn(markers.warnings)
-    found = register_boards(markers, cavities)
-    if not given.json:
-        sys.stdout.write("".join(described(setup, board) for setup, board in found.items()))
-    out = Path(given.out) / "boards.json"
-    write_boards(out, arm.name, found, made_today(input_file(file, "markers")))
-    sys.stdout.write(out.read_text(encoding="utf-8") if given.json else f"written: {out}\n")
+    boards = register_boards(markers, cavities)
+    if not args.json:
+        sys.stdout.write("".join(described(setup, board) for setup, board in boards.items()))
+    out = Path(args.out) / "boards.json"
+    write_boards(out, arm.name, boards, made_today(input_file(file, "markers")))
+    sys.stdout.write(out.read_text(encoding="utf-8") if args.json else f"written: {out}\n")
     return 0
 
 

@@ -25,61 +25,61 @@ MOCK_SHARE = 0.7  # of the largest load: friction needs torque, too
 REAL_SPEED, MOCK_SPEED = 0.5, 1.0
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Record if requested, evaluate, and print the results."""
-    arm = load_arm(given.arm)
-    ways = [name for name in ("points", "record", "mock") if getattr(given, name)]
+    arm = load_arm(args.arm)
+    ways = [name for name in ("points", "record", "mock") if getattr(args, name)]
     if len(ways) != 1:
         raise Iso9283Error(
             f"expected one of --points FILE, --record and --mock, got {' and '.join('--' + w for w in ways) or 'none'}"
         )
-    if given.points and given.plan_only:
+    if args.points and args.plan_only:
         raise Iso9283Error("--plan-only plans a recording: give --record or --mock, not --points")
-    if not given.plan_only:
-        require_writable(Path(given.out))
-    if given.points:
-        points, logs = Path(given.points), [Path(log) for log in given.log or ()]
-        return _evaluate(given, arm, RecordedFiles(points, logs, programme=_programme(given, points)))
-    _require_within(given.speed, "--speed", 1.0, "a fraction of the joints' limits")
-    _require_within(given.rated_speed, "--rated-speed", arm.limits.tip_speed_m_s, "a rated path speed in m/s")
-    is_real = given.record and not given.plan_only
-    with contextlib.closing(in_control_of(given, arm)) if is_real else contextlib.nullcontext() as client:
-        return _record_and_evaluate(given, arm, client)
+    if not args.plan_only:
+        require_writable(Path(args.out))
+    if args.points:
+        points, logs = Path(args.points), [Path(log) for log in args.log or ()]
+        return _evaluate(args, arm, RecordedFiles(points, logs, programme=_programme(args, points)))
+    _require_within(args.speed, "--speed", 1.0, "a fraction of the joints' limits")
+    _require_within(args.rated_speed, "--rated-speed", arm.limits.tip_speed_m_s, "a rated path speed in m/s")
+    is_real = args.record and not args.plan_only
+    with contextlib.closing(in_control_of(args, arm)) if is_real else contextlib.nullcontext() as client:
+        return _record_and_evaluate(args, arm, client)
 
 
-def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
+def _record_and_evaluate(args: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
     """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
-    cube = _cube(given, arm)
-    extent = _extent(given, arm, cube)
-    rated_m_s = given.rated_speed or rated_speed_m_s(arm, cube)
+    cube = _cube(args, arm)
+    extent = _extent(args, arm, cube)
+    rated_m_s = args.rated_speed or rated_speed_m_s(arm, cube)
     planned = plan(arm, cube, extent, rated_m_s)
     sys.stdout.write(_described(arm, cube, planned, rated_m_s))
     sys.stdout.flush()
-    if given.plan_only:
+    if args.plan_only:
         return 0
-    out = Path(given.out)
+    out = Path(args.out)
     with telling_where(out):
         if client is None:
-            _record_mock(given, arm, planned, out)
+            _record_mock(args, arm, planned, out)
         else:
-            _record_real(given, arm, client, planned, out)
+            _record_real(args, arm, client, planned, out)
     files = RecordedFiles(out / "points.csv", [out / "log.csv"], programme=out / "programme.json")
-    return _evaluate(given, arm, files, _notes(extent, cube))
+    return _evaluate(args, arm, files, _notes(extent, cube))
 
 
-def _evaluate(given: argparse.Namespace, arm: Arm, files: RecordedFiles, notes: tuple[str, ...] = ()) -> int:
-    out = Path(given.out)
+def _evaluate(args: argparse.Namespace, arm: Arm, files: RecordedFiles, notes: tuple[str, ...] = ()) -> int:
+    out = Path(args.out)
     files = replace(
         files,
         logs=[log for log in files.logs if not _is_only_header(log)],
-        others=[Path(other) for other in given.other or ()],
-        is_as_given=given.as_given,
+        others=[Path(other) for other in args.other or ()],
+        is_as_given=args.as_given,
     )
-    found, warnings = evaluate_files(arm, files, given.band_m, out, notes)
+    evaluation, warnings = evaluate_files(arm, files, args.band_m, out, notes)
     for warning in warnings:
         sys.stderr.write(f"armwright: {warning}\n")
     written = {"report": out / "iso9283.html", "figures": out / "iso9283.json"}
-    answer(given, written["figures"], summary_text(found.criteria), written)
+    answer(args, written["figures"], summary_text(evaluation.criteria), written)
     return 0
 
 
@@ -96,53 +96,53 @@ def _is_only_header(log: Path) -> bool:
         return file.readline().startswith(b"run,t_s,programme") and not file.readline()
 
 
-def _programme(given: argparse.Namespace, points: Path) -> Path | None:
+def _programme(args: argparse.Namespace, points: Path) -> Path | None:
     """The given programme.json, or the one beside the points."""
-    if given.programme:
-        return Path(given.programme)
+    if args.programme:
+        return Path(args.programme)
     beside = points.with_name("programme.json")
     return beside if beside.exists() else None
 
 
-def _extent(given: argparse.Namespace, arm: Arm, cube: TestCube) -> Extent:
-    base = QUICK if given.quick else FULL
-    load_kg = given.rated_load_kg or 0.0
-    if given.rated_load_kg is None and given.mock:
+def _extent(args: argparse.Namespace, arm: Arm, cube: TestCube) -> Extent:
+    base = QUICK if args.quick else FULL
+    load_kg = args.rated_load_kg or 0.0
+    if args.rated_load_kg is None and args.mock:
         load_kg = min(MOCK_LOAD_kg, MOCK_SHARE * largest_load_kg(arm, cube))
-    programmes = tuple(given.programmes or PROGRAMMES)
+    programmes = tuple(args.programmes or PROGRAMMES)
     return Extent(
-        given.repeats if given.repeats is not None else base.repeats,
-        given.path_cycles if given.path_cycles is not None else base.path_cycles,
-        tuple(given.speeds or base.speed_shares),
-        given.drift_s if given.drift_s is not None else base.drift_s,
+        args.repeats if args.repeats is not None else base.repeats,
+        args.path_cycles if args.path_cycles is not None else base.path_cycles,
+        tuple(args.speeds or base.speed_shares),
+        args.drift_s if args.drift_s is not None else base.drift_s,
         base.drift_sets,
         load_kg,
         programmes,
     )
 
 
-def _cube(given: argparse.Namespace, arm: Arm) -> TestCube:
-    if (given.cube_centre is None) != (given.cube_edge is None):
+def _cube(args: argparse.Namespace, arm: Arm) -> TestCube:
+    if (args.cube_centre is None) != (args.cube_edge is None):
         raise Iso9283Error("give both --cube-centre X Y Z and --cube-edge M, or neither")
-    if given.cube_edge is None:
+    if args.cube_edge is None:
         return largest_cube(arm)
-    x, y, z = given.cube_centre
-    return TestCube((x, y, z), given.cube_edge)
+    x, y, z = args.cube_centre
+    return TestCube((x, y, z), args.cube_edge)
 
 
-def _record_mock(given: argparse.Namespace, arm: Arm, planned: Planned, out: Path) -> None:
+def _record_mock(args: argparse.Namespace, arm: Arm, planned: Planned, out: Path) -> None:
     """Record on a mock arm in this process; only this needs the simulation."""
     from procedures.iso9283 import record_on_mock
 
     with Bar("iso9283") as bar:
-        speed = given.speed or MOCK_SPEED
-        record_on_mock(arm, given.scenario, given.seed, planned, out, speed, bar.advance)
+        speed = args.speed or MOCK_SPEED
+        record_on_mock(arm, args.scenario, args.seed, planned, out, speed, bar.advance)
 
 
-def _record_real(given: argparse.Namespace, arm: Arm, client: ArmClient, planned: Planned, out: Path) -> None:
+def _record_real(args: argparse.Namespace, arm: Arm, client: ArmClient, planned: Planned, out: Path) -> None:
     """Record on the connected arm, which must be homed and holding, with a camera that sees the tip."""
     loads_kg = [getattr(step, "payload_kg", 0.0) for step in planned.steps]
-    bench = bench_of(client, loads_kg, needs_tip=True, speed=given.speed or REAL_SPEED)
+    bench = bench_of(client, loads_kg, needs_tip=True, speed=args.speed or REAL_SPEED)
     with Bar("iso9283") as bar:
         record(arm, bench, planned, out, bar.advance)
 

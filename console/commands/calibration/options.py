@@ -30,10 +30,10 @@ def quantity(text: str, unit: str, what: str) -> float:
 
     A number without a unit is refused: 8 may be meant in millimetres and read in metres.
     """
-    found = re.fullmatch(r"\s*([-+0-9.eE]+)\s*([a-z]+)\s*", text)
-    factor = UNITS[unit].get(found[2]) if found else None
+    match = re.fullmatch(r"\s*([-+0-9.eE]+)\s*([a-z]+)\s*", text)
+    factor = UNITS[unit].get(match[2]) if match else None
     try:
-        value = float(found[1]) * factor if found and factor is not None else math.nan
+        value = float(match[1]) * factor if match and factor is not None else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -78,7 +78,7 @@ def names_in(texts: list[str]) -> list[str]:
 def bounds_of(texts: list[str]) -> Bounds:
     """`lengths=5mm`, `angles=2deg`, or a parameter by name."""
     general: dict[str, float] = {}
-    own: dict[str, float] = {}
+    by_name: dict[str, float] = {}
     for text in names_in(texts):
         name, _, value = text.partition("=")
         if not value:
@@ -87,13 +87,13 @@ def bounds_of(texts: list[str]) -> Bounds:
             unit = "m" if name == "lengths" else "rad"
             general["length_m" if name == "lengths" else "angle_rad"] = quantity(value, unit, f"--bound {name}")
         else:
-            own[name] = quantity(value, unit_of(name), f"--bound {name}")
-    return Bounds(own=own, **general)
+            by_name[name] = quantity(value, unit_of(name), f"--bound {name}")
+    return Bounds(own=by_name, **general)
 
 
 def wires_at(texts: list[str]) -> dict[str, tuple[float, float, float]]:
     """Fixed points of wires [m] by their names."""
-    found = {}
+    points_m = {}
     for text in texts:
         name, _, place = text.partition("=")
         try:
@@ -102,8 +102,8 @@ def wires_at(texts: list[str]) -> dict[str, tuple[float, float, float]]:
             x = y = z = math.nan
         if not name or not math.hypot(x, y, z) <= FARTHEST_m:
             raise CalibrationError(f'--wire-at: expected NAME=X,Y,Z in m, such as A=0.9,-0.5,0.1, got "{text}"')
-        found[name] = (x, y, z)
-    return found
+        points_m[name] = (x, y, z)
+    return points_m
 
 
 def board_frames(file: str | None) -> dict[str, Frame]:
@@ -132,12 +132,12 @@ class HistoryRecord:
         )
 
 
-def record_of(given: argparse.Namespace, by: str, arm: str) -> HistoryRecord | None:
+def record_of(args: argparse.Namespace, by: str, arm: str) -> HistoryRecord | None:
     """None without --history; CalibrationError if the record cannot be continued."""
-    if given.history is None:
-        if given.measured is not None:
+    if args.history is None:
+        if args.measured is not None:
             raise CalibrationError("--measured: needs --history, the record that the date is for")
         return None
-    record = HistoryRecord(Path(given.history), measured_at(given.measured), by, arm)
+    record = HistoryRecord(Path(args.history), measured_at(args.measured), by, arm)
     require_appendable(record.path, arm)
     return record

@@ -36,37 +36,37 @@ from procedures.folders import require_new, require_writable
 USUAL_COUNT = 12
 
 
-def run_plan_poses(given: argparse.Namespace) -> int:
+def run_plan_poses(args: argparse.Namespace) -> int:
     """Plan, print the plan, write plan.csv and plan.json."""
-    arm = load_arm(given.arm)
-    if given.out:
-        require_writable(Path(given.out))
-    taken = _taken(given, arm)
-    choice = Choice(boards=board_frames(given.boards))
-    plan = plan_poses(arm, taken, request_of(given), choice)
-    answer(given, plan_json(plan, arm.name), described(plan, arm.name))
-    if given.out:
-        for path in write_plan(Path(given.out), plan, arm.name):
-            (sys.stderr if given.json else sys.stdout).write(f"written: {path}\n")
+    arm = load_arm(args.arm)
+    if args.out:
+        require_writable(Path(args.out))
+    recorded = _taken(args, arm)
+    choice = Choice(boards=board_frames(args.boards))
+    plan = plan_poses(arm, recorded, request_of(args), choice)
+    answer(args, plan_json(plan, arm.name), described(plan, arm.name))
+    if args.out:
+        for path in write_plan(Path(args.out), plan, arm.name):
+            (sys.stderr if args.json else sys.stdout).write(f"written: {path}\n")
     return 0
 
 
-def request_of(given: argparse.Namespace) -> Request:
+def request_of(args: argparse.Namespace) -> Request:
     """The request of the options; `--free N` alone asks for N free poses and nothing else."""
-    count = given.count
+    count = args.count
     if count is None:
-        count = USUAL_COUNT if given.free is None else given.free
-    if given.free is not None and given.only == "table":
+        count = USUAL_COUNT if args.free is None else args.free
+    if args.free is not None and args.only == "table":
         raise CalibrationError("--free and --only table contradict each other: give one")
     return Request(
         count=count,
-        free_count=given.free,
-        setups=_setups(given.setups),
-        only=given.only,
-        criterion=given.criterion,
-        noise_m=length_m(given.noise, "--noise"),
-        turn_noise_rad=orientation_noise_rad(given.orientation_noise),
-        view=_view(given.view),
+        free_count=args.free,
+        setups=_setups(args.setups),
+        only=args.only,
+        criterion=args.criterion,
+        noise_m=length_m(args.noise, "--noise"),
+        turn_noise_rad=orientation_noise_rad(args.orientation_noise),
+        view=_view(args.view),
     )
 
 
@@ -89,10 +89,10 @@ def _view(corners_m: list[float] | None) -> CameraBox | None:
     return CameraBox((x[0], y[0], z[0]), (x[1], y[1], z[1]))
 
 
-def _taken(given: argparse.Namespace, arm: Arm) -> Points | None:
-    if given.points is None:
+def _taken(args: argparse.Namespace, arm: Arm) -> Points | None:
+    if args.points is None:
         return None
-    points, warnings = base_points_for(arm, [Path(given.points)], "plan-poses", given.as_given)
+    points, warnings = base_points_for(arm, [Path(args.points)], "plan-poses", args.as_given)
     warn(warnings)
     return points
 
@@ -117,15 +117,15 @@ def described(plan: Plan, arm: str) -> str:
 
 
 def _figures(state: Uncertainty) -> tuple[str, ...]:
-    found = state.indices.as_dict()
+    indices = state.indices.as_dict()
     return (
         f"{1e3 * state.tip_m:.3f}",
         f"{1e3 * state.tip_worst_m:.3f}",
-        f"{found['O1']:.1f}",
-        f"{found['O2']:.4f}",
-        f"{found['O3']:.2f}",
-        f"{found['O4']:.3f}",
-        f"{found['O5']:.2f}",
+        f"{indices['O1']:.1f}",
+        f"{indices['O2']:.4f}",
+        f"{indices['O3']:.2f}",
+        f"{indices['O4']:.3f}",
+        f"{indices['O5']:.2f}",
         known_to(state),
     )
 
@@ -134,59 +134,59 @@ PREDICTED = 0.4  # of the work is the prediction, the rest the search
 FARTHEST_m = 1.0  # that work is moved; more is a number in mm
 
 
-def run_plan_path(given: argparse.Namespace) -> int:
+def run_plan_path(args: argparse.Namespace) -> int:
     """Read, plan, write. Nothing is written before all input has been read and checked; nothing moves."""
-    arm, out = load_arm(given.arm), Path(given.out)
+    arm, out = load_arm(args.arm), Path(args.out)
     require_new(out, path_files.RESULTS)
-    freedom, wanted_m = _freedom(given), length_m(given.tolerance, "--tolerance")
-    waypoints = read_waypoints(given.file)
-    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "plan-path", given.as_given)
-    request = MapRequest((freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(given.boards)))
+    freedom, wanted_m = _freedom(args), length_m(args.tolerance, "--tolerance")
+    waypoints = read_waypoints(args.file)
+    points, warnings = base_points_for(arm, [Path(name) for name in args.points], "plan-path", args.as_given)
+    request = MapRequest((freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(args.boards)))
     plan: path_files.Plan
     with Bar("plan-path") as bar:
         trust = trust_in(arm, points, request, lambda what, done: bar.advance(what, PREDICTED * done))
-        planner = planned_stops if given.stops else planned_path
+        planner = planned_stops if args.stops else planned_path
         plan = planner(
             arm, trust.predictor, waypoints, freedom, lambda what, done: bar.advance(what, PREDICTED + (1.0 - PREDICTED) * done)
         )
     warn((*warnings, *trust.warnings))
     tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
-    points_files = (input_file(Path(name), "points") for name in given.points)
-    path_files.write_plan(out, plan, tasks, made_today(input_file(Path(given.file), "way-points"), *points_files))
+    points_files = (input_file(Path(name), "points") for name in args.points)
+    path_files.write_plan(out, plan, tasks, made_today(input_file(Path(args.file), "way-points"), *points_files))
     run_it = f"run it           armwright script {out / 'script.txt'}"
-    answer(given, path_files.plan_json(plan, tasks), "\n".join((*path_files.sentences(plan, tasks), "", run_it)))
+    answer(args, path_files.plan_json(plan, tasks), "\n".join((*path_files.sentences(plan, tasks), "", run_it)))
     return 0
 
 
-def _freedom(given: argparse.Namespace) -> Freedom:
-    x, y, z = given.shift or (0.0, 0.0, 0.0)
+def _freedom(args: argparse.Namespace) -> Freedom:
+    x, y, z = args.shift or (0.0, 0.0, 0.0)
     if not all(0.0 <= half <= FARTHEST_m for half in (x, y, z)):
         raise CalibrationError(f"--shift: expected 0 to {FARTHEST_m:g} m along x, y and z, got {x:g} {y:g} {z:g}")
-    payload_kg = given.payload or 0.0
+    payload_kg = args.payload or 0.0
     if payload_kg < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
-    return Freedom((x, y, z), given.any_order, payload_kg)
+    return Freedom((x, y, z), args.any_order, payload_kg)
 
 
 def _tasks(predictor: Predictor, plan: path_files.Plan, wanted_m: float) -> tuple[Reliability, Reliability]:
     """The probability that all of it is kept, as given and as planned."""
     if isinstance(plan, StopsPlan):
-        given, planned = (TaskPath(np.arange(float(len(way.poses))), way.poses) for way in (plan.plain, plan.chosen))
+        plain, planned = (TaskPath(np.arange(float(len(way.poses))), way.poses) for way in (plan.plain, plan.chosen))
     else:
-        given, planned = plan.plain.motion, plan.chosen.motion
-    return reliability_of(predictor, given, wanted_m), reliability_of(predictor, planned, wanted_m)
+        plain, planned = plan.plain.motion, plan.chosen.motion
+    return reliability_of(predictor, plain, wanted_m), reliability_of(predictor, planned, wanted_m)
 
 
-def run_plan_contacts(given: argparse.Namespace) -> int:
+def run_plan_contacts(args: argparse.Namespace) -> int:
     """Plan, print what the contacts determine, write contacts.csv."""
-    cell = load_cell(given.cell)
-    names, distances_m = pair_of(cell, given.arms), _distances(given.distance or ["0mm"])
-    if given.count < 1:
-        raise CalibrationError(f"--count: expected a number of contacts from 1 on, got {given.count}")
-    out = Path(given.out) if given.out else None
+    cell = load_cell(args.cell)
+    names, distances_m = pair_of(cell, args.arms), _distances(args.distance or ["0mm"])
+    if args.count < 1:
+        raise CalibrationError(f"--count: expected a number of contacts from 1 on, got {args.count}")
+    out = Path(args.out) if args.out else None
     if out is not None:
         require_new(out.parent, [out.name])
-    plan = plan_contacts(cell, names, distances_m, given.count)
+    plan = plan_contacts(cell, names, distances_m, args.count)
     sys.stdout.write(plan_text(plan))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -196,8 +196,8 @@ def run_plan_contacts(given: argparse.Namespace) -> int:
 
 
 def _distances(texts: list[str]) -> list[float]:
-    found = [quantity(text, "m", "--distance") for text in texts]
-    for text, distance_m in zip(texts, found, strict=True):
+    distances_m = [quantity(text, "m", "--distance") for text in texts]
+    for text, distance_m in zip(texts, distances_m, strict=True):
         if not 0.0 <= distance_m <= DISTANCE_MOST_m:
             raise CalibrationError(f"--distance: expected 0 to {DISTANCE_MOST_m:g} m, got {text}")
-    return found
+    return distances_m

@@ -21,48 +21,48 @@ from procedures.session.operator import SPEED, BoardWords, Interface, last_s, re
 from procedures.session.planning import plan_from_options
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Start or resume a session, and run it until the operator ends it or all points are done."""
-    if given.cell is not None:
-        return cell.session_of_contacts(given)
+    if args.cell is not None:
+        return cell.session_of_contacts(args)
     for name in ("contacts", "arms"):
-        if getattr(given, name) is not None:
+        if getattr(args, name) is not None:
             raise SessionError(f"--{name} is for two arms of a cell: add --cell")
-    arm = load_arm(given.arm)
-    interface = Interface.of(given)
-    wanted = plan_from_options(given, arm)
+    arm = load_arm(args.arm)
+    interface = Interface.of(args)
+    wanted = plan_from_options(args, arm)
     if wanted is not None:
         wanted.require_sound()  # errors are reported before a folder or a connection exists
         Boards(arm, wanted)
-    require_writable(Path(given.out))
-    if given.mock:
-        _with_mock(given, arm, wanted, interface)
+    require_writable(Path(args.out))
+    if args.mock:
+        _with_mock(args, arm, wanted, interface)
     else:
-        _with_arm(given, arm, wanted, interface)
+        _with_arm(args, arm, wanted, interface)
     return 0
 
 
-def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
-    if given.scenario is not None:
-        load_scenario(given.scenario)
-    with SessionFolder(Path(given.out), wanted) as folder:
+def _with_mock(args: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
+    if args.scenario is not None:
+        load_scenario(args.scenario)
+    with SessionFolder(Path(args.out), wanted) as folder:
         require_same(folder, fingerprint(arm))
         boards = Boards(arm, folder.plan)
         _introduce(folder, interface)
-        with mock_session(arm, folder, boards, given.scenario) as mock:
+        with mock_session(arm, folder, boards, args.scenario) as mock:
             hand = mock.hand if folder.plan.seat == "hand" else None
             port = _port(folder, mock.client, mock.speed)
             station = arm_station(arm, folder, boards, port, hand, last_s(folder))
             _conduct(arm, folder, boards, interface, station)
 
 
-def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
-    if (Path(given.out) / SCENARIO).exists():
-        raise SessionError(f"{given.out}: this session belongs to a mock arm: add --mock")
-    client = in_control_of(given, arm)
+def _with_arm(args: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, interface: Interface) -> None:
+    if (Path(args.out) / SCENARIO).exists():
+        raise SessionError(f"{args.out}: this session belongs to a mock arm: add --mock")
+    client = in_control_of(args, arm)
     try:
         status = ready(client)
-        with SessionFolder(Path(given.out), wanted) as folder:
+        with SessionFolder(Path(args.out), wanted) as folder:
             require_same(folder, fingerprint(arm))
             boards = Boards(arm, folder.plan)
             _introduce(folder, interface)

@@ -31,61 +31,61 @@ from procedures.folders import require_new
 RESULTS = ("trust.json", "map.npz", "report.html")
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Read, predict, write. Nothing is written before all input has been read and checked."""
-    if given.design is not None:
-        return study_design(given)
-    _require_points(given)
-    arm, out = load_arm(given.arm), Path(given.out)
+    if args.design is not None:
+        return study_design(args)
+    _require_points(args)
+    arm, out = load_arm(args.arm), Path(args.out)
     require_new(out, RESULTS)
-    request = _request(given)
-    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "trust", given.as_given)
-    paths = [planned(arm, read_waypoints(file), request.payloads_kg[0]) for file in given.task or []]
-    programmes = [(name, points_for(arm, [Path(name)], given.as_given)[0]) for name in given.visits or []]
+    request = _request(args)
+    points, warnings = base_points_for(arm, [Path(name) for name in args.points], "trust", args.as_given)
+    paths = [planned(arm, read_waypoints(file), request.payloads_kg[0]) for file in args.task or []]
+    programmes = [(name, points_for(arm, [Path(name)], args.as_given)[0]) for name in args.visits or []]
     with Bar("trust") as bar:
         trust = trust_in(arm, points, request, bar.advance)
     warn((*warnings, *trust.warnings))
     tasks = tuple(reliability_of(trust.predictor, path, request.tolerance_m or 0.0) for path in paths)
     poses = tuple(_pose_figures(trust, Path(name), recorded) for name, recorded in programmes)
     visited = tuple(one for found in poses for one in found)
-    made = made_today(*(input_file(Path(name), "points") for name in given.points))
+    made = made_today(*(input_file(Path(name), "points") for name in args.points))
     files = {"report": out / "report.html", "for programs": out / "trust.json", "map": out / "map.npz"}
     write_whole(files["report"], trust_report(trust, tasks, visited, made))
     write_map(files["map"], trust)
     content = trust_json(trust, tasks, visited)
     write_json(files["for programs"], made.heading(FORMAT, arm=arm.name) | content)
-    answer(given, content, as_text(trust, tasks, visited), files)
+    answer(args, content, as_text(trust, tasks, visited), files)
     return 0
 
 
-def _require_points(given: argparse.Namespace) -> None:
-    if not given.points:
+def _require_points(args: argparse.Namespace) -> None:
+    if not args.points:
         raise CalibrationError(
             "--points: give points.csv of the real arm; or --design and --tolerances for an arm that is not built"
         )
     for name in OPTIONS:
-        if getattr(given, name) is not None:
+        if getattr(args, name) is not None:
             raise CalibrationError(f"--{name}: belongs to --design, the arm.toml of an arm that is not built")
 
 
-def _request(given: argparse.Namespace) -> MapRequest:
-    wanted_m = length_m(given.tolerance, "--tolerance")
-    if given.task and wanted_m is None:
+def _request(args: argparse.Namespace) -> MapRequest:
+    wanted_m = length_m(args.tolerance, "--tolerance")
+    if args.task and wanted_m is None:
         raise CalibrationError("--task: give the --tolerance that the path shall keep, such as 0.5mm")
-    payloads_kg = tuple(given.payload or (0.0,))
+    payloads_kg = tuple(args.payload or (0.0,))
     if min(payloads_kg) < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {min(payloads_kg):g} kg")
-    return MapRequest(payloads_kg, wanted_m, choice=Choice(boards=board_frames(given.boards)))
+    return MapRequest(payloads_kg, wanted_m, choice=Choice(boards=board_frames(args.boards)))
 
 
 def _pose_figures(trust: Trust, file: Path, recorded: Points) -> tuple[PoseFigures, ...]:
     """Of a recorded programme; CalibrationError if it has no plain poses."""
-    found = pose_figures(trust.predictor, trust.arm, recorded, file)
-    if not found:
+    figures = pose_figures(trust.predictor, trust.arm, recorded, file)
+    if not figures:
         raise CalibrationError(
             f"--visits {file}: no visits of poses (setup pose, P1 to P5): record them with `armwright iso9283`"
         )
-    return found
+    return figures
 
 
 OPTIONS = ("tolerances", "arms", "seed", "workers", "cluster")
@@ -96,18 +96,18 @@ ARMS = 2000
 ARMS_LEAST, ARMS_MOST = (20, 10_000_000)  # below: no percentiles; above: the result of each arm no longer fits in memory
 
 
-def study_design(given: argparse.Namespace) -> int:
+def study_design(args: argparse.Namespace) -> int:
     """Read, draw arms, write. A study that was stopped goes on where it was."""
-    _require_ours(given)
-    arm, out = load_arm(given.design), Path(given.out)
+    _require_ours(args)
+    arm, out = load_arm(args.design), Path(args.out)
     require_new(out, DESIGN_RESULTS)
-    text = tolerances_text(given.tolerances)
-    wanted_m = length_m(given.tolerance, "--tolerance")
-    design = _design(given, arm, text)
-    require_near(design, given.tolerances)
+    text = tolerances_text(args.tolerances)
+    wanted_m = length_m(args.tolerance, "--tolerance")
+    design = _design(args, arm, text)
+    require_near(design, args.tolerances)
     warnings = warnings_about(design)
-    inputs = {Path(given.design).name: _hash(arm_text(arm)), Path(given.tolerances).name: _hash(text)}
-    with executor(design.tasks, given.workers, given.cluster) as runs, Bar("arms") as bar:
+    inputs = {Path(args.design).name: _hash(arm_text(arm)), Path(args.tolerances).name: _hash(text)}
+    with executor(design.tasks, args.workers, args.cluster) as runs, Bar("arms") as bar:
         store = ChunkStore(out / CHUNKS, _about(design, inputs))
         run_study(study_task, design, design.tasks, runs, store, bar.advance)
     made = made_of(design, store)
@@ -119,31 +119,31 @@ def study_design(given: argparse.Namespace) -> int:
     content = made_json(made, wanted_m)
     write_json(files["for programs"], provenance.heading(TOLERANCES, arm=arm.name) | content)
     store.remove()
-    answer(given, content, tolerances_words(made, wanted_m), files)
+    answer(args, content, tolerances_words(made, wanted_m), files)
     return 0
 
 
-def _require_ours(given: argparse.Namespace) -> None:
-    if given.tolerances is None:
+def _require_ours(args: argparse.Namespace) -> None:
+    if args.tolerances is None:
         raise CalibrationError("--design: give --tolerances, a file that says how exactly the parts are made")
     for name in NOT_OURS:
-        if getattr(given, name):
+        if getattr(args, name):
             raise CalibrationError(f"--{name}: needs --points of the real arm, and no --design")
-    if given.payload is not None and len(given.payload) > 1:
+    if args.payload is not None and len(args.payload) > 1:
         raise CalibrationError("--payload: with --design, expected one mass")
-    if given.arms is not None and not ARMS_LEAST <= given.arms <= ARMS_MOST:
-        raise CalibrationError(f"--arms: expected {ARMS_LEAST} to {ARMS_MOST}, got {given.arms}")
-    if given.seed is not None and given.seed < 0:
-        raise CalibrationError(f"--seed: expected 0 or more, got {given.seed}")
+    if args.arms is not None and not ARMS_LEAST <= args.arms <= ARMS_MOST:
+        raise CalibrationError(f"--arms: expected {ARMS_LEAST} to {ARMS_MOST}, got {args.arms}")
+    if args.seed is not None and args.seed < 0:
+        raise CalibrationError(f"--seed: expected 0 or more, got {args.seed}")
 
 
-def _design(given: argparse.Namespace, arm: Arm, text: str) -> StudyDesign:
-    (payload_kg,) = given.payload or (0.0,)
+def _design(args: argparse.Namespace, arm: Arm, text: str) -> StudyDesign:
+    (payload_kg,) = args.payload or (0.0,)
     if payload_kg < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
-    recorded_q = points_for(arm, [Path(name) for name in given.points])[0].q_rad if given.points else None
-    tolerances = parse_tolerances(text, given.tolerances, arm)
-    return design_of(arm, tolerances, given.arms or ARMS, payload_kg, recorded_q, given.seed or 0)
+    recorded_q = points_for(arm, [Path(name) for name in args.points])[0].q_rad if args.points else None
+    tolerances = parse_tolerances(text, args.tolerances, arm)
+    return design_of(arm, tolerances, args.arms or ARMS, payload_kg, recorded_q, args.seed or 0)
 
 
 def _about(design: StudyDesign, inputs: dict[str, str]) -> dict[str, object]:

@@ -38,24 +38,24 @@ class ArmAtHold:
     end: Callable[[], Path]
 
 
-def run(given: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Verify; exit status 1 if the calibrated arm is significantly worse, all points are its own, or the arm could not go on."""
-    calibrated = load_arm(given.arm)
-    pair = ModelPair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
-    out = Path(given.out)
+    calibrated = load_arm(args.arm)
+    pair = ModelPair(Model(nominal_of(calibrated, args.against)), Model(calibrated))
+    out = Path(args.out)
     require_empty(out)
-    if given.points is not None:
-        pair = _framed(pair, given)
-        recorded = on_recorded(pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []), given.as_given)
-        return _finish(given, recorded, out)
-    if given.free_zero or given.wire_at:
+    if args.points is not None:
+        pair = _framed(pair, args)
+        recorded = on_recorded(pair, Path(args.points), args.free_zero, wires_at(args.wire_at or []), args.as_given)
+        return _finish(args, recorded, out)
+    if args.free_zero or args.wire_at:
         raise ArmError("--wire-at and --free-zero are for lengths: give them with --points")
-    if given.free or given.fix:
+    if args.free or args.fix:
         raise ArmError("--free and --fix say where recorded tips were measured: give them with --points")
-    programme = _programme(given, calibrated)
+    programme = _programme(args, calibrated)
     drive = SurveyPair.planned(pair, programme, out)
     with ExitStack() as stack:
-        bench = _mock(given, pair, out, stack) if given.mock else _real(given, pair)
+        bench = _mock(args, pair, out, stack) if args.mock else _real(args, pair)
         out.mkdir(parents=True, exist_ok=True)
         try:
             with Bar("verify") as bar:
@@ -65,30 +65,30 @@ def run(given: argparse.Namespace) -> int:
         except (ArmError, CalibrationError) as error:  # something has moved: not the exit status 2 of wrong input
             sys.stderr.write(f"armwright: {error}\n  the measurements are in {out}\n")
             return 1
-    return _finish(given, verification, out)
+    return _finish(args, verification, out)
 
 
-def _framed(pair: ModelPair, given: argparse.Namespace) -> ModelPair:
+def _framed(pair: ModelPair, args: argparse.Namespace) -> ModelPair:
     """Both models as if their files said of the tips' frame what the options say."""
-    if given.free and given.fix:
+    if args.free and args.fix:
         raise ArmError("the base frame cannot be both fixed and free: omit one of the two")
-    said = without_base if given.free else with_own_base if given.fix else None
+    said = without_base if args.free else with_own_base if args.fix else None
     return pair if said is None else ModelPair(*(Model(said(one.arm)) for one in (pair.nominal, pair.calibrated)))
 
 
-def _programme(given: argparse.Namespace, arm: Arm) -> Programme:
+def _programme(args: argparse.Namespace, arm: Arm) -> Programme:
     """Points and paths above the table."""
     table = tables.table_of(arm)
-    setups = tuple(dict.fromkeys(given.setups))
-    if given.repeats < 1:
-        raise ArmError(f"--repeats: expected 1 or more, got {given.repeats}")
-    wanted = ways(table, setups, given.height)
-    return Programme(places(table, setups, given.height), wanted, given.repeats, given.path_speed)
+    setups = tuple(dict.fromkeys(args.setups))
+    if args.repeats < 1:
+        raise ArmError(f"--repeats: expected 1 or more, got {args.repeats}")
+    wanted = ways(table, setups, args.height)
+    return Programme(places(table, setups, args.height), wanted, args.repeats, args.path_speed)
 
 
-def _real(given: argparse.Namespace, pair: ModelPair) -> ArmAtHold:
+def _real(args: argparse.Namespace, pair: ModelPair) -> ArmAtHold:
     """The bench of a running runtime. ArmError if it is not homed and holding; nothing moves."""
-    client = in_control_of(given, pair.calibrated.arm, pair.nominal.arm)
+    client = in_control_of(args, pair.calibrated.arm, pair.nominal.arm)
     status = client.status()
     if status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")
@@ -111,7 +111,7 @@ def _real(given: argparse.Namespace, pair: ModelPair) -> ArmAtHold:
     return ArmAtHold(client, runtime_model, REAL_SPEED, end)
 
 
-def _mock(given: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStack) -> ArmAtHold:
+def _mock(args: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStack) -> ArmAtHold:
     """A homed, stepped mock of the nominal arm with the scenario's hidden errors; its runtime uses the calibrated arm."""
     from procedures.mock import (
         SteppedBench,  # imports MuJoCo, which takes a second
@@ -119,7 +119,7 @@ def _mock(given: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStac
     )
 
     nominal = pair.nominal.arm
-    text = seeded_scenario(given.scenario, None, was_homed=not nominal.can_home)
+    text = seeded_scenario(args.scenario, None, was_homed=not nominal.can_home)
     out.mkdir(parents=True)
     scenario = out / "scenario.toml"
     write_whole(scenario, text)
@@ -131,10 +131,10 @@ def _mock(given: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStac
     return ArmAtHold(client, pair.calibrated, bench.speed, bench.stop)
 
 
-def _finish(given: argparse.Namespace, verification: Verification, out: Path) -> int:
+def _finish(args: argparse.Namespace, verification: Verification, out: Path) -> int:
     write(verification, out)
     warnings = (f"note: {line}" for line in verification.warnings)
     text = "\n".join((comparison_text(verification.comparison), "", *verification.verdict, *warnings))
     files = {"report": out / "report.html", "figures": out / "verify.json"}
-    answer(given, files["figures"], text, files)
+    answer(args, files["figures"], text, files)
     return 1 if verification.is_worse or verification.verifies_nothing else 0

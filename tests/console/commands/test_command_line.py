@@ -85,7 +85,7 @@ def test_every_module_of_a_command_is_in_the_table() -> None:
     modules = {
         ".".join(path.relative_to(folder).with_suffix("").parts)
         for path in folder.rglob("*.py")
-        if re.search(r"^def run(_\w+)?\(given", path.read_text("utf-8"), re.MULTILINE)
+        if re.search(r"^def run(_\w+)?\(args", path.read_text("utf-8"), re.MULTILINE)
     }
     assert modules == {command.module_name for command in COMMANDS}
 
