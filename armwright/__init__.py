@@ -127,9 +127,9 @@ def __getattr__(name: str) -> object:
         return version("armwright")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'armwright' has no attribute {name!r}")
-    found: object = getattr(importlib.import_module(_MODULE_OF[name]), name)
-    globals()[name] = found
-    return found
+    value: object = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

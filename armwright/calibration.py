@@ -86,10 +86,10 @@ class CalibrationResult:
             if (out / name).exists():
                 raise CalibrationError(f"{out / name} exists already and is never overwritten: choose another folder")
         made, provenance = self.calibrated, made_today()
-        nominal, found = made.nominal, made.found
-        write_calibrated_arm(out / "arm.toml", nominal, found, provenance)
+        nominal, identification = made.nominal, made.found
+        write_calibrated_arm(out / "arm.toml", nominal, identification, provenance)
         more = judgement_json(made)
-        write_calibration_json(out / "calibration.json", nominal.name, found, provenance, more=more)
+        write_calibration_json(out / "calibration.json", nominal.name, identification, provenance, more=more)
         write_report(out / "report.html", calibration_report(made, provenance))
 
     def __str__(self) -> str:

@@ -289,10 +289,10 @@ def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: 
     return RunningArm(client, described)
 
 
-def _gripper_state(found: dict[str, Any] | None, arm: Arm) -> GripperState:
-    if found is None:
+def _gripper_state(gripper: dict[str, Any] | None, arm: Arm) -> GripperState:
+    if gripper is None:
         raise ArmError(f"arm {arm.name}: its file describes no gripper: add a [gripper]")
-    return GripperState(found["state"], found["text"], found["opening_m"], found["force_N"], found["has_lost"])
+    return GripperState(gripper["state"], gripper["text"], gripper["opening_m"], gripper["force_N"], gripper["has_lost"])
 
 
 def _array(values: Any) -> Array:

@@ -126,9 +126,9 @@ class ReachEnvironment(gymnasium.Env[Observation, Array]):
         self._client.wait(self._period_s)
         self._taken += 1
         observation, info, is_faulted = self._seen(limited)
-        left = max(1, self._steps - self._taken + 1) if is_faulted else 1
+        remaining_steps = max(1, self._steps - self._taken + 1) if is_faulted else 1
         ends = is_faulted or info["is_success"]
-        return observation, -left * info["distance_m"], ends, self._taken >= self._steps and not ends, info
+        return observation, -remaining_steps * info["distance_m"], ends, self._taken >= self._steps and not ends, info
 
     def close(self) -> None:
         """Cut the mock arm's power and end its recording."""

@@ -70,10 +70,10 @@ class Kinematics:
             raise BadTarget(
                 f"near_rad: expected shape ({self.joint_count},) or {(*shape, self.joint_count)}, got {near.shape}"
             ) from None
-        found = [
+        solutions_rad = [
             nearest_rad(self._inverse, self._posed, tip, start) for tip, start in zip(tips.tolist(), starts.tolist(), strict=True)
         ]
-        return np.array(found, dtype=np.float64).reshape(*shape, self.joint_count)
+        return np.array(solutions_rad, dtype=np.float64).reshape(*shape, self.joint_count)
 
     def solutions(self, tip_m: ArrayLike) -> tuple[Solution, ...]:
         """Every pose that reaches one tip position (3,), also beyond the joint limits, each with its branch.
