@@ -25,7 +25,7 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, Looked, State
 from calib.gap.posterior.constants import UNMEASURED, SETTLED_sd
-from calib.gap.posterior.decide import Decision, decide, nameable
+from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
 from calib.gap.posterior.told import Told
@@ -168,8 +168,7 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
         blocks = around.blocks
         search = Search(around.evidence, forced)
         found = search.run(starts)
-        apart = {one.name: one.confusable_with for one in nameable(around.evidence)}
-        decision = decide(around.evidence, found, apart)
+        decision = decide(around.evidence, found)
         keys = search.keys(decision.best.members)
         if keys in seen or not keys:
             return around, decision

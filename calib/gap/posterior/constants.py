@@ -23,9 +23,8 @@ DEPARTURE_WEIGHTS: Final = (0.35, 0.3, 0.2, 0.15)
 BLOCK_LEVELS: Final = (0.1, 0.3, 1.0, 3.0)
 # Posterior inclusion from which on a name is given, a set called ambiguous, and a remainder claimed.
 CERTAIN: Final = 0.95
-# Log evidence by which a name must lead one that an effect of usual size cannot be told from: what parts their forms of one law
-# is then mostly how many ways to depart each was given. A variant or size of an effect that lies further behind no longer counts
-# in its parameters.
+# Log evidence by which a name must lead another in its place: what parts two that may stand for each other is mostly how many
+# ways to depart each was given. A variant or size of an effect that lies further behind no longer counts in its parameters.
 MARGIN: Final = 5.0
 # Standard deviations by which a coefficient, a gain of maps, or one of two estimates of a value must differ from nothing, from
 # the arm's file or from the other, to be worth saying: among some hundred that are looked at none may do so by chance.

@@ -58,12 +58,10 @@ class Decision:
         return replace(self, names=names, ambiguous=(*self.ambiguous, *groups.values()))
 
 
-def decide(
-    evidence: Evidence, found: Sequence[Weighed], rivals: Mapping[EffectName, Collection[EffectName]] | None = None
-) -> Decision:
+def decide(evidence: Evidence, found: Sequence[Weighed], lead: float = MARGIN) -> Decision:
     """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is.
 
-    `rivals`: names that an effect of usual size cannot be told from; among them a name needs more, MARGIN.
+    `lead`: log evidence by which it must lead sets that have another name in its place; 0 where those are compared elsewhere.
     """
     logs = np.array([one.log for one in found])
     weights = np.exp(logs - logs.max())
@@ -77,10 +75,10 @@ def decide(
     groups = []
     for group in _credible(has, weights, chance):
         if len(group) == 1 and isinstance(name := group[0], EffectName):
-            # rivals that a set without the name, nearly as likely as the best, has in its place: none that the best has beside it
-            likely = ~has[name] & (logs > logs[0] - MARGIN)
+            # names that a set without this one, nearly as likely as the best, has in its place: none that the best has beside it
+            likely = ~has[name] & (logs > logs[0] - lead)
             beside = keys[0] if name in keys[0] else ()
-            some = (one for one in (rivals or {}).get(name, ()) if one in has and one not in beside)
+            some = (one for one in has if isinstance(one, EffectName) and one not in beside)
             group = (*group, *(one for one in some if (has[one] & likely).any()))
         groups.append((*group, *crooked(evidence, found[0], group[0])) if len(group) == 1 else group)
     left = tuple(group for group in groups if any(isinstance(key, Block) for key in group))

@@ -171,17 +171,20 @@ class Evidence:
         size = (inverse @ drawn[..., None])[..., 0]
         log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
         width = np.sqrt(inverse[..., 0, 0])
+        # sizes are counted in sd here; a departure is a share of the law: without the law there is none
+        departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]
+        least = np.where(departs, LAW_LEAST, -np.inf)
+        law = np.linalg.norm(size[..., : batch.laws], axis=2)
         if batch.is_positive.any():
-            above = size[..., 0] - batch.least[:, None] / sd[..., 0]  # sizes are counted in sd here
-            below = batch.most[:, None] / sd[..., 0] - size[..., 0]
-            inside = log_ndtr(above / width) + log_ndtr(below / width) + math.log(2.0)
-            sign = np.where((above > 0.0) & (below > 0.0), inside, NEVER)
-            log = log + np.where(batch.is_positive[:, None], sign, 0.0)
-        if sd.shape[2] > batch.laws:  # a departure is a share of the law: without the law there is none
-            departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]
-            law = np.linalg.norm(size[..., : batch.laws], axis=2)
-            share = np.where(law > 0.5 * LAW_LEAST, log_ndtr((law - LAW_LEAST) / width), NEVER)
-            log = log + np.where(departs, share, 0.0)
+            ones, own, most = batch.is_positive[:, None], size[..., 0], batch.most[:, None] / sd[..., 0]
+            law = np.where(ones, own, law)
+            own_least = batch.least[:, None] / sd[..., 0]
+            least = np.where(ones, np.maximum(least, own_least), least)
+            # what is known to be positive is so with twice the density; a secant says nothing beyond its reach
+            is_beyond = np.isfinite(most) & ((own <= own_least) | (own >= most))
+            inside = math.log(2.0) + log_ndtr((most - own) / width) + np.where(is_beyond, NEVER, 0.0)
+            log = log + np.where(ones, inside, 0.0)
+        log = log + log_ndtr((law - least) / width)
         best = np.argmax(log, axis=1)
         top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]
         return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top

@@ -219,7 +219,7 @@ def weighed(
         if not (bent := _bent_too_far(evidence, linear, found[0], around)):
             break
         barred |= bent
-    return SeriesFit(around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found), rows)
+    return SeriesFit(around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found, 0.0), rows)
 
 
 def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, around: OperatingPoint) -> set[Key]:

@@ -138,15 +138,25 @@ def _weighed_as(evidence: Evidence, logs: dict[int, float]) -> list[Weighed]:
     return sorted(sets, key=lambda one: -one.log)
 
 
-def test_a_name_needs_more_beside_one_that_it_cannot_be_told_from() -> None:
+def test_a_name_needs_more_where_another_may_stand_in_its_place() -> None:
     soft, bent = EffectName("joint_compliance", 3), EffectName("link_flexure", 3)
     evidence = _evidence([_term(soft), _term(bent)], *_world(7, 1.0, 2))
-    found = _weighed_as(evidence, {0: 0.0, 1: -4.0})
-    assert decide(evidence, found).names == (soft,)
-    assert decide(evidence, found, {soft: (), bent: ()}).names == (soft,)
-    assert decide(evidence, found, {soft: (bent,), bent: (soft,)}).ambiguous == ((soft, bent),)
-    far = _weighed_as(evidence, {0: 0.0, 1: -6.0})
-    assert decide(evidence, far, {soft: (bent,), bent: (soft,)}).names == (soft,)
+    near, far = (_weighed_as(evidence, {0: 0.0, 1: log}) for log in (-4.0, -6.0))
+    assert decide(evidence, near).ambiguous == ((soft, bent),)
+    assert decide(evidence, far).names == (soft,)
+    assert decide(evidence, near, lead=0.0).names == (soft,)
+
+
+@pytest.mark.parametrize(("law", "is_rival"), [(0.0, True), (1.0, False)])
+def test_a_law_that_nothing_shows_may_act_by_its_departures_alone(law: float, is_rival: bool) -> None:
+    """A play that never leaves one flank is an offset, which the geometry takes; how it is worn looks like an eccentricity."""
+    rng = np.random.default_rng(11)
+    worn = 5.0 * rng.normal(size=(ROWS, 2))
+    columns = np.column_stack((worn, 5.0 * law * rng.normal(size=ROWS), worn))
+    wave, play = EffectName("encoder_eccentricity", 1), EffectName("backlash", 1)
+    terms = [_term(wave, 2), _term(play, 3, departures=2, is_positive=True)]
+    evidence = _evidence(terms, columns, 0.15 * worn[:, 0] + rng.normal(size=ROWS))
+    assert decide(evidence, Search(evidence).run()).names == (() if is_rival else (wave,))
 
 
 def test_a_name_that_leads_its_rivals_by_too_little_is_ambiguous_with_all_of_them() -> None:
@@ -179,7 +189,7 @@ def test_a_rival_of_a_name_acts_in_its_place_and_not_beside_it() -> None:
     evidence = _evidence([_term(name) for name in names], columns, y)
     likely = (((0, 2), 0.0), ((2,), -3.7), ((1, 2), -3.9))  # 1 and 3; or 3 alone, or 2 for 1
     found = [Weighed(tuple((k, 1) for k in numbers), 1.0, log) for numbers, log in likely]
-    assert decide(evidence, found, {names[0]: names[1:]}).ambiguous == ((names[0], names[1]),)
+    assert decide(evidence, found).ambiguous == ((names[0], names[1]),)
 
 
 @pytest.mark.parametrize(("bend", "is_named"), [(0.1, True), (0.9, False)])
