@@ -64,10 +64,9 @@ def noise_floor(arm: Arm, points: Points, left: Left, out: Mask | None = None) -
     return replace(tips, tip_m=math.hypot(tips.tip_m, of_counts.tip_m), turn_rad=math.hypot(turn_rad, of_counts.turn_rad))
 
 
-def _of_counts(arm: Arm, points: Points) -> Floor:
-    """What the encoders' steps leave of one axis: repeats end within the same counts, and never show it.
+def counted_rad(arm: Arm, points: Points) -> Array:
+    """The standard deviation of each joint's angle within the encoder's count that it was read in, step / sqrt(12), (n,).
 
-    A joint is anywhere within its count, with a standard deviation of step / sqrt(12); tip and last link follow all joints.
     Angles that lie closer together than a step were not read in whole counts.
     """
     step_rad = np.zeros(arm.joint_count)
@@ -75,7 +74,14 @@ def _of_counts(arm: Arm, points: Points) -> Floor:
         apart = np.diff(np.unique(points.q_rad[:, drive.joint - 1]))
         stated = 2.0 * np.pi / drive.counts_per_joint_turn
         step_rad[drive.joint - 1] = apart[apart > FINEST_rad].min(initial=stated)
-    sd_rad = step_rad / np.sqrt(12.0)
+    return np.asarray(step_rad / np.sqrt(12.0))
+
+
+def _of_counts(arm: Arm, points: Points) -> Floor:
+    """What the encoders' steps leave of one axis: repeats end within the same counts, and never show it. Tip and last link follow
+    all joints.
+    """
+    sd_rad = counted_rad(arm, points)
     moved_m = ForwardKinematics(arm).jacobians(points.q_rad) * sd_rad
     tip_m = math.sqrt(float(np.mean(np.sum(moved_m**2, axis=(1, 2)))) / 3.0)
     return Floor(tip_m, "the encoders' steps", turn_rad=float(np.linalg.norm(sd_rad)) / math.sqrt(3.0))

@@ -226,16 +226,21 @@ class Linear:
         """The places of each term's columns."""
         return [np.arange(place.start, place.stop) for place in self.places]
 
-    def projected(self, poses: Mask, noise_m: float, held: Array | None = None) -> Gram:
-        """What evidence needs, from some poses (m,).
+    def projected(self, poses: Mask, noise_m: float, held: Array | None = None, beside: Term | None = None) -> Gram:
+        """What evidence needs, from some poses (m,). `beside`: what else is integrated out, of prior standard deviation one.
 
         `held` (r, K + p + 1): the holding currents' channel, geometry, columns and values in standard deviations. Both channels
         see one geometry: what the tips leave open of it is integrated out of the currents.
         """
-        base, columns, y = (self.whitened(values, poses, noise_m) for values in (self.base, self.columns, self.y[:, None]))
+        base, precision, count = self.base, self.precision, self.base.shape[1]
+        if beside is not None:
+            base = np.column_stack((base, self.measured.moved_by(beside).reshape(beside.count, -1).T))
+            precision = np.concatenate((precision, np.ones(beside.count)))
+            held = None if held is None else np.insert(held, [count] * beside.count, 0.0, axis=1)
+        base, columns, y = (self.whitened(values, poses, noise_m) for values in (base, self.columns, self.y[:, None]))
         values = np.column_stack((columns, y))
         # the prior as rows of its own: what tips leave open, a factor 1e8 in size, is lost in normal equations
-        q, r = np.linalg.qr(np.vstack((base, np.diag(np.sqrt(self.precision)))))
+        q, r = np.linalg.qr(np.vstack((base, np.diag(np.sqrt(precision)))))
         fit = np.linalg.solve(r, q[: len(base)].T @ values)
         rest = np.vstack((values, np.zeros_like(fit))) - q @ (q[: len(base)].T @ values)
         seen = rest.T @ rest

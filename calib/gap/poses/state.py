@@ -16,7 +16,7 @@ from calib.gap.effects.links import FRAME, beyond_linear_m
 from calib.gap.effects.record import PoseScene, load_of
 from calib.gap.finding import EffectName, effect_of, with_totals
 from calib.gap.poses.currents import holding_currents
-from calib.gap.poses.floor import Floor, flank_covariance, noise_floor
+from calib.gap.poses.floor import Floor, counted_rad, flank_covariance, noise_floor
 from calib.gap.poses.linear import Fit, Left, Linear, by_joints
 from calib.gap.poses.nameless import blocks_of
 from calib.gap.poses.recordings import Split
@@ -130,7 +130,8 @@ class Around:
         linear = Linear.around(state.posed(), floor.lever_m, terms, state.linear, state.weight, state.follows)
         held = holding_currents(state.fit, arm, points, state.turn_rad, terms)
         rows = looked.parts.known
-        gram = linear.projected(rows, floor.tip_m, None if held is None else held.seen(rows))
+        seen = None if held is None else held.seen(rows)
+        gram = linear.projected(rows, floor.tip_m, seen, _stopped(looked.arm, points))
         if looked.told is not None:
             gram = looked.told.beside(gram, terms, linear.columns_of_terms)
         return cls(state, looked, linear, Evidence(gram, terms, max(floor.doubt, FLOOR_DOUBT)))
@@ -235,6 +236,16 @@ def _moves(acting: Sequence[tuple[Term, Array]], shape: tuple[int, int]) -> tupl
         moved[:, :3] += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
         moved[:, 3:] += 0.0 if one.turn_rad is None else np.einsum("c,cmi->mi", own, one.turn_rad)
     return turn, moved
+
+
+def _stopped(arm: Arm, points: Points) -> Term:
+    """Where in its count each joint came to rest: on the side that it came from, or on the other; nothing tells how far.
+
+    A servo stops as soon as it reads what it was sent to, so that steps of its encoder look like play.
+    """
+    sides = points.direction * counted_rad(arm, points)
+    slope = np.einsum("mj,jk->jmk", sides, np.eye(points.joint_count))
+    return Term(Block(0, "counts"), laws=len(slope), slope_rad=slope)
 
 
 def _unlisted(one: Term, without: Collection[str]) -> Term:

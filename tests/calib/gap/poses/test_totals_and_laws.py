@@ -44,6 +44,23 @@ def test_the_time_constant_of_a_drift_lies_between_those_that_are_tried() -> Non
     assert 0.0 < sd_s < 0.5 * time_s
 
 
+@pytest.mark.parametrize("width_rad", [0.0, 0.006])
+def test_a_joint_that_stops_on_its_side_of_a_count_is_not_loose(width_rad: float) -> None:
+    """A third of a count of 1.5 mrad too early from either side: repeats end in the same count and never show it."""
+    hidden = (Hidden("backlash", 1, width_rad),) if width_rad else ()
+    arm, points = designed(52, hidden, Design(step=8, free=20))
+    drives = [dataclasses.replace(one, encoder_counts_per_rev=round(4096 / one.gear_ratio)) for one in arm.drives]
+    step_rad = 2.0 * np.pi / np.array([one.counts_per_joint_turn for one in drives])
+    read = step_rad * np.round(points.q_rad / step_rad - 0.35 * points.direction)
+    coarse = dataclasses.replace(arm, drives=tuple(drives))
+    found = find(coarse, dataclasses.replace(points, q_rad=read))
+    assert names(found) == {EffectName(one.effect, one.joint) for one in hidden}
+    assert found.finding.unknown is None
+    if hidden:
+        value_rad, sd_rad = value(found, "backlash", "width_rad")
+        assert abs(value_rad - width_rad) < 2.0 * sd_rad < 0.5 * width_rad
+
+
 def test_nothing_hidden_is_named_nothing_and_nothing_is_left() -> None:
     found = find(ARM, case(32))
     assert names(found) == set()
