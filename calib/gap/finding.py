@@ -197,16 +197,16 @@ class GapFinding:
         return "held-out recordings" if self.is_held_out else "the fitted recordings (none could be held out)"
 
 
-def with_given_numbers(said: Said, before: Mapping[int, int]) -> Said:
+def with_given_numbers(statements: Said, before: Mapping[int, int]) -> Said:
     """What is said of links by their numbers in the new file, said by those of the given one, too: names, and words with names.
 
     `before`: of every link that has another number now, its number in the given file.
     """
 
-    def both(found: re.Match[str]) -> str:
-        name, number = found[1], int(found[2])
+    def both(mention: re.Match[str]) -> str:
+        name, number = mention[1], int(mention[2])
         is_of_link = name in EFFECTS and place_of(name) == "link" and number in before
-        return str(EffectName(name, number, before[number])) if is_of_link else found[0]
+        return str(EffectName(name, number, before[number])) if is_of_link else mention[0]
 
     def renamed(value: object) -> object:
         match value:
@@ -217,81 +217,81 @@ def with_given_numbers(said: Said, before: Mapping[int, int]) -> Said:
             case tuple():
                 return tuple(map(renamed, value))
             case Remainder() | OpenQuestion() | NamedEffect() | Nameable() | Unknown() | GapFinding():
-                own = {one.name: renamed(getattr(value, one.name)) for one in fields(value)}
-                return replace(cast(Any, value), **own)
+                members = {entry.name: renamed(getattr(value, entry.name)) for entry in fields(value)}
+                return replace(cast(Any, value), **members)
             case _:
                 return value
 
-    return cast(Said, renamed(said))
+    return cast(Said, renamed(statements))
 
 
-def write_gap_json(path: Path, found: GapFinding) -> None:
+def write_gap_json(path: Path, finding: GapFinding) -> None:
     """Write gap.json; an unknown number is null."""
-    write_whole(path, json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n")
+    write_whole(path, json.dumps(gap_content(finding), indent=2, allow_nan=False) + "\n")
 
 
-def gap_content(found: GapFinding) -> dict[str, object]:
+def gap_content(finding: GapFinding) -> dict[str, object]:
     """What stands in gap.json."""
     whole = {
         "format": "gap/2",
-        "arm": found.arm,
-        "data": found.data,
-        "noise_floor": found.noise_floor,
+        "arm": finding.arm,
+        "data": finding.data,
+        "noise_floor": finding.noise_floor,
         "gap": {
-            "before": found.gap_before,
-            "after": found.gap_after,
-            "explained": found.gap_explained,
-            "before_si": found.before_si,
-            "after_si": found.after_si,
+            "before": finding.gap_before,
+            "after": finding.gap_after,
+            "explained": finding.gap_explained,
+            "before_si": finding.before_si,
+            "after_si": finding.after_si,
         },
         "effects": [
             {
-                **_fields(one.name),
-                "parameters": {key: {"value": value, "sd": sd} for key, (value, sd) in one.parameters.items()},
-                "is_nothing": one.is_nothing,
-                "gap_after": one.gap_after,
-                "probability": one.probability,
-                "share": one.share,
-                "law_departure": None if math.isnan(one.departure) else {"fraction": one.departure, "variable": one.variable},
-                "evidence": one.evidence,
+                **_fields(part.name),
+                "parameters": {key: {"value": value, "sd": sd} for key, (value, sd) in part.parameters.items()},
+                "is_nothing": part.is_nothing,
+                "gap_after": part.gap_after,
+                "probability": part.probability,
+                "share": part.share,
+                "law_departure": None if math.isnan(part.departure) else {"fraction": part.departure, "variable": part.variable},
+                "evidence": part.evidence,
             }
-            for one in found.effects
+            for part in finding.effects
         ],
-        "ambiguous": found.ambiguous,
-        "unknown": found.unknown,
+        "ambiguous": finding.ambiguous,
+        "unknown": finding.unknown,
         "nameable": [
             {
-                **_fields(one.name),
-                "detectability": one.detectability,
-                "confusable_with": one.confusable_with,
-                "is_nameable": one.is_nameable,
+                **_fields(nameable.name),
+                "detectability": nameable.detectability,
+                "confusable_with": nameable.confusable_with,
+                "is_nameable": nameable.is_nameable,
             }
-            for one in found.nameable
+            for nameable in finding.nameable
         ],
-        "next_experiment": found.next_experiment,
-        "remainder": found.remainder,
-        "open_questions": found.open_questions,
-        "maps": found.maps
+        "next_experiment": finding.next_experiment,
+        "remainder": finding.remainder,
+        "open_questions": finding.open_questions,
+        "maps": finding.maps
         and {
-            "tables": [_table(one) for one in found.maps.maps],
+            "tables": [_table(correction) for correction in finding.maps.maps],
             "checked": [
-                {"channel": one.channel, "joint": one.joint, "before_si": one.before, "after_si": one.after}
-                for one in found.maps.checks
+                {"channel": check.channel, "joint": check.joint, "before_si": check.before, "after_si": check.after}
+                for check in finding.maps.checks
             ],
         },
     }
     return {key: _plain(value) for key, value in whole.items()}
 
 
-def _table(one: CorrectionMap) -> dict[str, object]:
-    largest, directed = (max(map(abs, own), default=0.0) for own in (one.values, one.by_direction))
-    where = {"joint": one.joint, "corrects": one.corrects, "over": one.over}
+def _table(correction: CorrectionMap) -> dict[str, object]:
+    largest, directed = (max(map(abs, values), default=0.0) for values in (correction.values, correction.by_direction))
+    where = {"joint": correction.joint, "corrects": correction.corrects, "over": correction.over}
     return {**where, "largest": largest, "largest_by_direction": directed}
 
 
-def _fields(one: DataclassInstance) -> dict[str, object]:
-    found = {one_field.name: getattr(one, one_field.name) for one_field in fields(one)}
-    return {name: value for name, value in found.items() if name != "given_joint" or value is not None}
+def _fields(record: DataclassInstance) -> dict[str, object]:
+    values = {entry.name: getattr(record, entry.name) for entry in fields(record)}
+    return {name: value for name, value in values.items() if name != "given_joint" or value is not None}
 
 
 def _plain(value: object) -> object:
@@ -299,33 +299,33 @@ def _plain(value: object) -> object:
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(_fields(value))
     if isinstance(value, Mapping):
-        return {key: _plain(own) for key, own in value.items()}
+        return {key: _plain(element) for key, element in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(own) for own in value]
+        return [_plain(element) for element in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # The named effects added to the model: what arm.toml becomes.
 
 
-def updated_arm(arm: Arm, found: GapFinding) -> Arm:
+def updated_arm(arm: Arm, finding: GapFinding) -> Arm:
     """The arm with what was named, which is a total, and with the maps that were found, in place of what its file has.
 
     An effect whose total is none is taken out, and so are maps that were measured beside other effects.
     """
-    effects = [one for one in found.effects if one.name.effect != GEOMETRY]
-    named = [effect_of(one.name, one.parameters) for one in effects if not one.is_nothing]
-    gone = {(one.name.effect, one.name.joint) for one in effects if one.is_nothing}
-    kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
-    maps = () if found.maps is None else found.maps.maps
-    return with_totals(dataclasses.replace(arm, effects=kept, maps=maps), named)
+    effects = [effect for effect in finding.effects if effect.name.effect != GEOMETRY]
+    named = [effect_of(effect.name, effect.parameters) for effect in effects if not effect.is_nothing]
+    removed = {(effect.name.effect, effect.name.joint) for effect in effects if effect.is_nothing}
+    remaining = tuple(effect for effect in arm.effects if (effect.effect, effect.joint) not in removed)
+    maps = () if finding.maps is None else finding.maps.maps
+    return with_totals(dataclasses.replace(arm, effects=remaining, maps=maps), named)
 
 
-def with_geometry(arm: Arm, found: GapFinding) -> Arm:
+def with_geometry(arm: Arm, finding: GapFinding) -> Arm:
     """The arm with the deviations of its links that time series showed."""
     dh = np.array(arm.dh)
-    for one in found.effects:
-        for name, (value, _) in one.parameters.items() if one.name.effect == GEOMETRY else ():
+    for effect in finding.effects:
+        for name, (value, _) in effect.parameters.items() if effect.name.effect == GEOMETRY else ():
             link, kind = name.removeprefix("link").split("_", 1)
             dh[int(link) - 1, LINK_KEYS.index(kind)] += value
     return arm.with_dh(dh)
@@ -336,30 +336,30 @@ def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -
     return Effect(name.effect, name.joint, {key: value for key, (value, _) in parameters.items()})
 
 
-def with_totals(arm: Arm, found: Sequence[Effect]) -> Arm:
+def with_totals(arm: Arm, totals: Sequence[Effect]) -> Arm:
     """The arm with these effects in place of its own of the same names."""
     known = {(effect.effect, effect.joint): effect for effect in arm.effects}
-    for effect in found:
+    for effect in totals:
         before = known.get((effect.effect, effect.joint))
         parameters = effect.parameters if before is None else {**before.parameters, **effect.parameters}
         known[effect.effect, effect.joint] = Effect(effect.effect, effect.joint, parameters)
     return dataclasses.replace(arm, effects=tuple(known.values()))
 
 
-def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
+def as_totals(arm: Arm, finding: GapFinding) -> GapFinding:
     """A finding of changes beside what the arm's file has, as one of totals; a total that no part can have is none."""
     known = {EffectName(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
     effects = [
-        dataclasses.replace(one, parameters=as_total(one.name.effect, known[one.name], one.parameters))
-        if one.name in known
-        else one
-        for one in found.effects
+        dataclasses.replace(named, parameters=as_total(named.name.effect, known[named.name], named.parameters))
+        if named.name in known
+        else named
+        for named in finding.effects
     ]
     effects = [
-        one if is_possible(one.name.effect, one.parameters) else dataclasses.replace(one, parameters={}, is_nothing=True)
-        for one in effects
+        named if is_possible(named.name.effect, named.parameters) else dataclasses.replace(named, parameters={}, is_nothing=True)
+        for named in effects
     ]
-    return dataclasses.replace(found, effects=tuple(effects))
+    return dataclasses.replace(finding, effects=tuple(effects))
 
 
 def is_possible(effect: str, parameters: Parameters) -> bool:
@@ -371,7 +371,7 @@ def is_possible(effect: str, parameters: Parameters) -> bool:
     )
 
 
-def as_total(effect: str, known: Mapping[str, float], found: Parameters) -> Parameters:
+def as_total(effect: str, known: Mapping[str, float], changes: Parameters) -> Parameters:
     """Both as one effect of the same kind, with the standard deviations of what was found."""
-    values = total(effect, known, {name: value for name, (value, _) in found.items()})
-    return {name: (value, found.get(name, (value, 0.0))[1]) for name, value in values.items()}
+    values = total(effect, known, {name: value for name, (value, _) in changes.items()})
+    return {name: (value, changes.get(name, (value, 0.0))[1]) for name, value in values.items()}

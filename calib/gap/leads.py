@@ -12,7 +12,7 @@ of the moments at which they were made, and w^2/4 (1 - flank^2). f and u are sea
 the data say: leads begin anew when drives come on. Nothing is simulated, and no motor's current is needed.
 
 The sets of {c, w, b} are weighed by the Bayesian information criterion (Schwarz, 1978), with as many independent samples as the
-autocorrelation of what is left leaves, and by the prior of a name. An effect is named whose sets have nearly all of the weight,
+autocorrelation of the residuals leaves, and by the prior of a name. An effect is named whose sets have nearly all of the weight,
 as everywhere in gap, if they also predict pairs better that were not fitted.
 """
 
@@ -71,33 +71,33 @@ class Flank:
 
 @dataclass(frozen=True, slots=True)
 class GearFit:
-    """A set of effects fitted by least squares: coefficients, their covariance for independent samples, what is left (m,).
+    """A set of effects fitted by least squares: coefficients, their covariance for independent samples, residuals (m,).
 
-    What is left is in standard deviations of each pair.
+    Residuals are in standard deviations of each pair.
     """
 
     effects: tuple[str, ...]
     flank: Flank
-    found: Array
+    coefficients: Array
     covariance: Array
-    left: Array
+    residual: Array
     log_sd: float  # mean logarithm of the pairs' variances
 
     @property
     def variance(self) -> float:
-        """Of what is left; none for a spring or play below nought, which no gear has."""
-        signed = [value for value, effect in zip(self.found, self.effects, strict=False) if effect != "belt_coupling"]
+        """Of the residuals; none for a spring or play below nought, which no gear has."""
+        signed = [value for value, effect in zip(self.coefficients, self.effects, strict=False) if effect != "belt_coupling"]
         if any(value <= 0.0 for value in signed):
             return math.inf
-        return max(float(np.mean(self.left**2)), 1e-30) * math.exp(self.log_sd)
+        return max(float(np.mean(self.residual**2)), 1e-30) * math.exp(self.log_sd)
 
     @property
     def independent(self) -> float:
         """How many samples are as good as independent, by the correlation of neighbours."""
-        left = self.left
-        alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-30)
+        residual = self.residual
+        alike = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-30)
         alike = min(max(alike, 0.0), 0.999)
-        return max(len(left) * (1.0 - alike) / (1.0 + alike), 2.0)
+        return max(len(residual) * (1.0 - alike) / (1.0 + alike), 2.0)
 
 
 def gears_by_leads(arm: Arm, log: Log) -> tuple[NamedEffect, ...]:
@@ -114,11 +114,11 @@ def gears_by_leads(arm: Arm, log: Log) -> tuple[NamedEffect, ...]:
 
 
 def _pairs(arm: Arm, dynamics: Dynamics, log: Log, joint: int) -> Pairs | None:
-    found = [part for k, run in enumerate(log.runs) for part in _of_run(arm, dynamics, run, joint, k)]
-    if sum(len(part[0]) for part in found) < FEWEST:
+    parts = [part for k, run in enumerate(log.runs) for part in _of_run(arm, dynamics, run, joint, k)]
+    if sum(len(part[0]) for part in parts) < FEWEST:
         return None
-    lead, torque, speed, direction, q2, run = (np.concatenate(column) for column in zip(*found, strict=True))
-    steps_rad = (2.0 * math.pi / one.counts_per_joint_turn for one in (arm.drives[joint], arm.drives[joint].at_motor))
+    lead, torque, speed, direction, q2, run = (np.concatenate(column) for column in zip(*parts, strict=True))
+    steps_rad = (2.0 * math.pi / counter.counts_per_joint_turn for counter in (arm.drives[joint], arm.drives[joint].at_motor))
     sd_rad = np.sqrt((sum(step**2 for step in steps_rad) + (LATE_s * speed) ** 2) / 12.0)
     return Pairs(joint, lead, torque, speed, direction, q2, run, np.zeros(len(run)), sd_rad)
 
@@ -153,46 +153,46 @@ def _of_run(arm: Arm, dynamics: Dynamics, run: LoggedRun, joint: int, number: in
 def _named(arm: Arm, pairs: Pairs) -> Iterator[NamedEffect]:
     """The effects that stand, with their values from all runs."""
     runs = np.unique(pairs.run)
-    kept = np.isin(pairs.run, runs[2::3]) if len(runs) > 2 else _last_third(pairs.run)
+    is_held_out = np.isin(pairs.run, runs[2::3]) if len(runs) > 2 else _last_third(pairs.run)
     effects = ["joint_compliance", "backlash", *(["belt_coupling"] if pairs.joint == COUPLED - 1 else [])]
-    sets = [some for size in range(len(effects) + 1) for some in itertools.combinations(effects, size)]
-    with_own = replace(pairs, begun=pairs.run)
-    richest = [_best(one, sets[-1], ~kept) for one in (pairs, with_own)]
+    sets = [subset for size in range(len(effects) + 1) for subset in itertools.combinations(effects, size)]
+    with_own_offsets = replace(pairs, begun=pairs.run)
+    richest = [_best(offsets, sets[-1], ~is_held_out) for offsets in (pairs, with_own_offsets)]
     independent = min(richest, key=lambda fit: fit.variance).independent
     a_value = math.log(independent)
-    costs = [independent * math.log(fit.variance) + a_value * len(fit.found) for fit in richest]
-    pairs = pairs if costs[0] <= costs[1] else with_own
-    tried = [_best(pairs, some, ~kept) for some in sets]
+    costs = [independent * math.log(fit.variance) + a_value * len(fit.coefficients) for fit in richest]
+    pairs = pairs if costs[0] <= costs[1] else with_own_offsets
+    tried = [_best(pairs, subset, ~is_held_out) for subset in sets]
     a_name = a_value - 2.0 * math.log(NAME_PRIOR)
     criteria = np.array([independent * math.log(fit.variance) + a_name * len(fit.effects) for fit in tried])
     weights = np.exp(-0.5 * (criteria - criteria.min()))
-    inclusion = {one: float(weights[[one in some for some in sets]].sum() / weights.sum()) for one in effects}
-    fit = tried[sets.index(tuple(one for one in effects if inclusion[one] >= CERTAIN))]
-    before, after = (_predicted_rad(pairs, one, kept) for one in (tried[0], fit))
+    inclusion = {effect: float(weights[[effect in subset for subset in sets]].sum() / weights.sum()) for effect in effects}
+    fit = tried[sets.index(tuple(effect for effect in effects if inclusion[effect] >= CERTAIN))]
+    before, after = (_predicted_rad(pairs, tried_fit, is_held_out) for tried_fit in (tried[0], fit))
     if not after < before:
         return
-    whole = _fit(pairs, fit.effects, fit.flank, np.ones(len(kept), dtype=bool))
-    sds = np.sqrt(np.diag(whole.covariance) * len(kept) / whole.independent)
-    given = {effect.effect: effect.parameters for effect in arm.effects if effect.joint is None}
-    for effect, value, sd in zip(fit.effects, whole.found.tolist(), sds.tolist(), strict=False):
+    whole = _fit(pairs, fit.effects, fit.flank, np.ones(len(is_held_out), dtype=bool))
+    sds = np.sqrt(np.diag(whole.covariance) * len(is_held_out) / whole.independent)
+    modelled = {effect.effect: effect.parameters for effect in arm.effects if effect.joint is None}
+    for effect, value, sd in zip(fit.effects, whole.coefficients.tolist(), sds.tolist(), strict=False):
         if abs(value) < SMALLEST[effect]:
             continue
         name = EffectName(effect, None if effect == "belt_coupling" else pairs.joint + 1)
         if effect == "joint_compliance":
             value, sd = 1.0 / value, sd / value**2
         elif effect == "belt_coupling":  # the loop has taken off what the file says of it
-            value += given.get(effect, {}).get("ratio", 0.0)
+            value += modelled.get(effect, {}).get("ratio", 0.0)
         evidence = {"lead_before_rad": before, "lead_after_rad": after}
         yield NamedEffect(name, {LAW[effect]: (value, sd)}, after / before, evidence, inclusion[effect])
 
 
 def _last_third(run: Array) -> np.ndarray:
     """The later part of each of few runs."""
-    kept = np.zeros(len(run), dtype=bool)
-    for one in np.unique(run):
-        rows = np.flatnonzero(run == one)
-        kept[rows[2 * len(rows) // 3 :]] = True
-    return kept
+    is_held_out = np.zeros(len(run), dtype=bool)
+    for number in np.unique(run):
+        rows = np.flatnonzero(run == number)
+        is_held_out[rows[2 * len(rows) // 3 :]] = True
+    return is_held_out
 
 
 def _best(pairs: Pairs, effects: tuple[str, ...], rows: np.ndarray) -> GearFit:
@@ -219,11 +219,11 @@ def _columns(pairs: Pairs, effects: Sequence[str], flank: Flank) -> Array:
     return np.column_stack([*(laws[effect] for effect in effects), pairs.speed_rad_s, offsets])
 
 
-def _sd_rad(pairs: Pairs, effects: tuple[str, ...], flank: Flank, found: Array) -> Array:
+def _sd_rad(pairs: Pairs, effects: tuple[str, ...], flank: Flank, coefficients: Array) -> Array:
     """Of each pair, with the doubt about its flank: it may lie on the other one, half a play away from where none lies."""
     if "backlash" not in effects:
         return pairs.sd_rad
-    half_rad = 0.5 * found[effects.index("backlash")]
+    half_rad = 0.5 * coefficients[effects.index("backlash")]
     return np.asarray(np.hypot(pairs.sd_rad, half_rad * np.sqrt(1.0 - _side(_loaded_Nm(pairs, flank), flank) ** 2)))
 
 
@@ -231,19 +231,19 @@ def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray)
     whole, sd_rad = _columns(pairs, effects, flank), pairs.sd_rad
     for _ in range(PASSES):
         columns, lead = whole[rows] / sd_rad[rows, None], pairs.lead_rad[rows] / sd_rad[rows]
-        found, *_ = np.linalg.lstsq(columns, lead, rcond=None)
-        left, used_rad = lead - columns @ found, sd_rad[rows]
-        sd_rad = _sd_rad(pairs, effects, flank, found)
-    covariance = np.linalg.pinv(columns.T @ columns) * np.mean(left**2)
-    return GearFit(effects, flank, found, covariance, left, float(np.mean(2.0 * np.log(used_rad))))
+        coefficients, *_ = np.linalg.lstsq(columns, lead, rcond=None)
+        residual, used_rad = lead - columns @ coefficients, sd_rad[rows]
+        sd_rad = _sd_rad(pairs, effects, flank, coefficients)
+    covariance = np.linalg.pinv(columns.T @ columns) * np.mean(residual**2)
+    return GearFit(effects, flank, coefficients, covariance, residual, float(np.mean(2.0 * np.log(used_rad))))
 
 
-def _predicted_rad(pairs: Pairs, fit: GearFit, kept: np.ndarray) -> float:
+def _predicted_rad(pairs: Pairs, fit: GearFit, is_held_out: np.ndarray) -> float:
     """Root mean square of what a fit leaves of pairs that it did not use, about their means where no offset is known."""
     laws = len(fit.effects) + 1  # and the counts' moments
-    left = pairs.lead_rad - _columns(pairs, fit.effects, fit.flank)[:, :laws] @ fit.found[:laws]
-    weight, squares = pairs.sd_rad**-2.0 * kept, 0.0
-    for one in np.unique(pairs.begun[kept]):
-        own = weight * (pairs.begun == one)
-        squares += float(own @ (left - own @ left / own.sum()) ** 2)
+    residual_rad = pairs.lead_rad - _columns(pairs, fit.effects, fit.flank)[:, :laws] @ fit.coefficients[:laws]
+    weight, squares = pairs.sd_rad**-2.0 * is_held_out, 0.0
+    for offset in np.unique(pairs.begun[is_held_out]):
+        run_weight = weight * (pairs.begun == offset)
+        squares += float(run_weight @ (residual_rad - run_weight @ residual_rad / run_weight.sum()) ** 2)
     return math.sqrt(squares / float(weight.sum()))

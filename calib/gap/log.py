@@ -77,7 +77,7 @@ class LoggedRun:
 
     def rows(self, rows: slice | npt.NDArray[np.intp], name: str = "") -> LoggedRun:
         """Some of its samples, under another name if one is given."""
-        kept = np.arange(len(self))[rows].tolist()
+        indices = np.arange(len(self))[rows].tolist()
         return replace(
             self,
             name=name or self.name,
@@ -88,7 +88,7 @@ class LoggedRun:
             voltage_V=frozen(self.voltage_V[rows]),
             payload_kg=frozen(self.payload_kg[rows]),
             tip_m=frozen(self.tip_m[rows]),
-            extra=MappingProxyType({column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}),
+            extra=MappingProxyType({column: tuple(texts[k] for k in indices) for column, texts in self.extra.items()}),
         )
 
     @property
@@ -133,18 +133,18 @@ def is_repeat(first: LoggedRun, second: LoggedRun) -> bool:
     if apart_s > 0.02 * length_s or not abs(first.payload - second.payload) < 1e-6:
         return False
     shared = min(len(first), len(second))
-    one, other = first.q_set_rad, second.q_set_rad
-    if np.isnan(one).any() or np.isnan(other).any():
+    first_rad, second_rad = first.q_set_rad, second.q_set_rad
+    if np.isnan(first_rad).any() or np.isnan(second_rad).any():
         return False
     here, there = first.t_s - first.t_s[0], second.t_s - second.t_s[0]
     period_s = length_s / max(len(first) - 1, 1)
     if np.abs(here[:shared] - there[:shared]).max() < 0.5 * period_s:
-        return bool(np.all(np.abs(one[:shared] - other[:shared]) <= SAME_RAD))
+        return bool(np.all(np.abs(first_rad[:shared] - second_rad[:shared]) <= SAME_RAD))
     within = here <= there[-1]
-    at_here = np.stack([np.interp(here, there, column) for column in other.T], axis=1)
-    steps = np.pad(np.abs(np.diff(one, axis=0)), ((2, 2), (0, 0)), mode="edge")
-    moved = np.max([steps[k : k + len(one)] for k in range(4)], axis=0)
-    return bool(np.all((np.abs(one - at_here) <= SAME_RAD + moved)[within]))
+    at_here = np.stack([np.interp(here, there, column) for column in second_rad.T], axis=1)
+    steps = np.pad(np.abs(np.diff(first_rad, axis=0)), ((2, 2), (0, 0)), mode="edge")
+    moved = np.max([steps[k : k + len(first_rad)] for k in range(4)], axis=0)
+    return bool(np.all((np.abs(first_rad - at_here) <= SAME_RAD + moved)[within]))
 
 
 def read_log(path: Path, joint_count: int | None = None) -> tuple[Log, tuple[str, ...]]:

@@ -102,15 +102,15 @@ def against(sides: Sequence[Side], stages: Sequence[Stage], label: str, title: s
     """What is left at every stage, (m,), against each of some things that it may follow."""
     columns = 2 if len(sides) == 4 else max(len(sides), 1)
     rows = math.ceil(len(sides) / columns)
-    some = slice(None, None, max(1, len(stages[0][1]) // DOTS_MOST))
+    thinning = slice(None, None, max(1, len(stages[0][1]) // DOTS_MOST))
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
         figure.subplots_adjust(left=0.07, right=0.99, top=0.92, bottom=0.14, wspace=0.05, hspace=0.3)
-        reach = 1.25 * float(np.nanquantile(np.abs(np.concatenate([own for _, own in stages])), SHOWN))
+        reach = 1.25 * float(np.nanquantile(np.abs(np.concatenate([residual for _, residual in stages])), SHOWN))
         for axes, (at, side) in zip(panels.ravel(), sides, strict=True):
-            for (name, own), colour, mark in zip(stages, COLOURS, MARKS, strict=False):
-                axes.plot(at[some], own[some], mark, ms=2.4, color=colour, alpha=0.55, mew=0, label=name)
+            for (name, residual), colour, mark in zip(stages, COLOURS, MARKS, strict=False):
+                axes.plot(at[thinning], residual[thinning], mark, ms=2.4, color=colour, alpha=0.55, mew=0, label=name)
             axes.axhline(0.0, color=PLANNED, lw=0.8)
             axes.set(xlabel=side, ylim=(-reach, reach) if reach > 0.0 else None)
             if side.startswith("last direction"):
@@ -146,18 +146,18 @@ def map_picture(drawn: DrawnMap) -> str:
 
 def _over(at: Array, data: Array, curves: Sequence[tuple[str, Array, str, str]], xlabel: str, ylabel: str) -> str:
     """Data less all other terms, and curves (label, values, mark, colour): nearly all data, and the whole of the curves."""
-    some = slice(None, None, max(1, len(at) // DOTS_MOST))
-    ends = [np.nanquantile(data, (1.0 - SHOWN, SHOWN)), *(own for _, own, _, _ in curves)]
-    low, high = min(float(one.min()) for one in ends), max(float(one.max()) for one in ends)
+    thinning = slice(None, None, max(1, len(at) // DOTS_MOST))
+    ends = [np.nanquantile(data, (1.0 - SHOWN, SHOWN)), *(values for _, values, _, _ in curves)]
+    low, high = min(float(end.min()) for end in ends), max(float(end.max()) for end in ends)
     margin = 0.08 * max(high - low, 1e-12)
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         figure.subplots_adjust(left=0.07, right=0.99, top=0.97, bottom=0.15)
         measured = "measured, less all other terms"
-        axes.plot(at[some], data[some], "o", ms=2.6, color=BEFORE, alpha=0.45, mew=0, label=measured)
+        axes.plot(at[thinning], data[thinning], "o", ms=2.6, color=BEFORE, alpha=0.45, mew=0, label=measured)
         for label, values, mark, colour in curves:
-            axes.plot(at[some], values[some], mark, ms=2.8, lw=1.4, color=colour, alpha=0.8, label=label)
+            axes.plot(at[thinning], values[thinning], mark, ms=2.8, lw=1.4, color=colour, alpha=0.8, label=label)
         axes.set(xlabel=xlabel, ylabel=ylabel, ylim=(low - margin, high + margin))
         axes.legend(loc="best", fontsize=7, markerscale=1.6)
 
@@ -183,10 +183,10 @@ def recordings_picture(gap: StaticGap) -> str:
         words.append(", ".join([setup, *([f"{payload:g} kg"] * has_load), *([side] * has_side)]))
     labels = np.array(words if len(set(words)) <= NAMES_MOST else points.setup)
     names = list(dict.fromkeys(labels.tolist()))
-    stages = [(name, [rms(residual[labels == one]) / gap.floor.tip_m for one in names]) for name, residual in _compared(gap)]
-    kept = set() if gap.split.is_by_pose else set(labels[gap.split.report].tolist())
-    title = "by recording; * held out" if kept else "by recording; some poses of each are held out"
-    return by_place([f"{one}{'  *' if one in kept else ''}" for one in names], stages, title)
+    stages = [(name, [rms(residual[labels == label]) / gap.floor.tip_m for label in names]) for name, residual in _compared(gap)]
+    held_out = set() if gap.split.is_by_pose else set(labels[gap.split.report].tolist())
+    title = "by recording; * held out" if held_out else "by recording; some poses of each are held out"
+    return by_place([f"{label}{'  *' if label in held_out else ''}" for label in names], stages, title)
 
 
 def joint_picture(gap: StaticGap, joint: int) -> str:
@@ -194,7 +194,7 @@ def joint_picture(gap: StaticGap, joint: int) -> str:
     points, count, j = gap.points, len(gap.points), joint - 1
     has_time = bool(np.isfinite(points.t_s).all())
     apart = 0.2 * (np.arange(count) % 40 / 39.0 - 0.5)  # points of one direction side by side
-    own = points.direction[:, j]
+    direction = points.direction[:, j]
     load, hangs = np.nan_to_num(points.payload_kg), "payload [kg]"
     if gap.load_Nm is not None and float(np.abs(gap.load_Nm[:, j]).max()) > NO_TORQUE_Nm:
         load, hangs = gap.load_Nm[:, j], f"gravity torque of joint {joint} [N m]"
@@ -202,7 +202,7 @@ def joint_picture(gap: StaticGap, joint: int) -> str:
         (np.degrees(points.q_rad[:, j]), f"q{joint} [deg]"),
         (points.t_s if has_time else np.arange(count, dtype=float), "time [s]" if has_time else "pose"),
         (load, hangs),
-        (own + apart * bool(np.ptp(own)), f"last direction of joint {joint}"),
+        (direction + apart * bool(np.ptp(direction)), f"last direction of joint {joint}"),
     ]
     by_joint = gap.by_joint[:, :, j]
     stages = [(name, 1e3 * along_joint(by_joint, residual)) for name, residual in _compared(gap)]
@@ -213,9 +213,9 @@ def joint_picture(gap: StaticGap, joint: int) -> str:
 def places_picture(gap: StaticGap) -> str:
     """What is left at every pose as an arrow, from above and from the side, before and after at the same scale."""
     stages = _compared(gap)
-    some = slice(None, None, max(1, len(gap.points) // ARROWS_MOST))
-    place = gap.problem.references_m[some]
-    longest = float(np.quantile(np.linalg.norm(stages[0][1][some], axis=1), 0.95))
+    thinning = slice(None, None, max(1, len(gap.points) // ARROWS_MOST))
+    place = gap.problem.references_m[thinning]
+    longest = float(np.quantile(np.linalg.norm(stages[0][1][thinning], axis=1), 0.95))
     times = ARROW_SHARE * float(np.ptp(place, axis=0).max()) / max(longest, 1e-9)
 
     def draw(figure: Figure) -> None:
@@ -224,11 +224,11 @@ def places_picture(gap: StaticGap) -> str:
         figure.subplots_adjust(left=0.07, right=0.985, top=1 - 0.07 / rows, bottom=0.13 / rows, wspace=0.16)
         for column, (view, a, b) in enumerate((("from above", 0, 1), ("from the side", 0, 2))):
             for axes, (name, residual), colour in zip(panels[:, column], stages, COLOURS, strict=False):
-                _arrows(axes, place[:, [a, b]], times * residual[some][:, [a, b]], colour)
+                _arrows(axes, place[:, [a, b]], times * residual[thinning][:, [a, b]], colour)
                 axes.set_ylabel(f"{'xyz'[b]} [m]")
                 axes.set_title(f"{view}, {name}: {1e3 * rms(residual):.3f} mm", size=9)
-                said = f"arrows {times:.0f} times too long"
-                axes.text(0.01, 0.97, said, transform=axes.transAxes, size=7, va="top")
+                note = f"arrows {times:.0f} times too long"
+                axes.text(0.01, 0.97, note, transform=axes.transAxes, size=7, va="top")
         for axes in panels[-1]:
             axes.set_xlabel("x [m]")
 
@@ -277,9 +277,9 @@ def time_picture(outcome: DynamicOutcome, run: int, cells: Sequence[ChannelRows]
         for axes, cell in zip(panels, cells, strict=True):
             mine = outcome.rows.run[cell.rows] == run
             t_s = outcome.rows.t_s[cell.rows][mine]
-            for (name, own), colour in zip(_stages(outcome, cell), COLOURS, strict=True):
+            for (name, residual), colour in zip(_stages(outcome, cell), COLOURS, strict=True):
                 size = 1.8 if len(t_s) > FEW_DOTS else 4.0
-                axes.plot(t_s, own[mine], ".", ms=size, color=colour, label=name, mew=0)
+                axes.plot(t_s, residual[mine], ".", ms=size, color=colour, label=name, mew=0)
             axes.set_ylabel(f"[{unit_of(cell.channel)[0]}]")
             axes.set_title(TITLES[cell.channel].format(joint=cell.joint + 1), fontsize=9, fontweight="normal")
         panels[0].legend(loc="upper right", fontsize=8, markerscale=2, ncols=2)
@@ -304,21 +304,21 @@ def spectrum_picture(outcome: DynamicOutcome, cell: ChannelRows, effect: NamedEf
     """Amplitude over periods per motor turn: by angle, not by time; and over the phase of the order that was named."""
     turn = outcome.rows.q_rad[cell.rows] * outcome.physics.gear_ratios[cell.joint]
     orders, order = np.arange(0.5, HIGHEST_ORDER, 0.05), effect.parameters["order"][0]
-    some = slice(None, None, max(1, len(turn) // DOTS_MOST))
-    waves = np.exp(1j * orders[:, None] * turn[None, some])
+    thinning = slice(None, None, max(1, len(turn) // DOTS_MOST))
+    waves = np.exp(1j * orders[:, None] * turn[None, thinning])
     phase, unit = np.degrees((order * turn) % math.tau), unit_of(cell.channel)[0]
 
     def draw(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        spectrum_axes, phase_axes = figure.subplots(1, 2, width_ratios=(3, 2))
         figure.subplots_adjust(left=0.07, right=0.99, top=0.88, bottom=0.16, wspace=0.16)
-        for (name, own), colour, style in zip(_stages(outcome, cell), COLOURS, ("-", "--"), strict=True):
+        for (name, residual), colour, style in zip(_stages(outcome, cell), COLOURS, ("-", "--"), strict=True):
             # least squares of each order alone, nearly: sine and cosine are orthogonal over many turns
-            size = 2.0 * np.abs(waves @ own[some]) / len(own[some])
-            left.plot(orders, size, color=colour, lw=1.2, ls=style, label=name)
-            right.plot(phase[some], own[some], ".", ms=2.0, color=colour, alpha=0.6, mew=0)
-        left.set(xlabel="periods per motor turn", ylabel=f"amplitude [{unit}]")
-        left.set_title(f"{effect.name}: spectrum over the motor's angle")
-        left.legend(loc="best", fontsize=8)
-        right.set(xlabel=f"{order:g} times the motor's angle [deg]", ylabel=f"[{unit}]", xlim=(0, 360))
+            size = 2.0 * np.abs(waves @ residual[thinning]) / len(residual[thinning])
+            spectrum_axes.plot(orders, size, color=colour, lw=1.2, ls=style, label=name)
+            phase_axes.plot(phase[thinning], residual[thinning], ".", ms=2.0, color=colour, alpha=0.6, mew=0)
+        spectrum_axes.set(xlabel="periods per motor turn", ylabel=f"amplitude [{unit}]")
+        spectrum_axes.set_title(f"{effect.name}: spectrum over the motor's angle")
+        spectrum_axes.legend(loc="best", fontsize=8)
+        phase_axes.set(xlabel=f"{order:g} times the motor's angle [deg]", ylabel=f"[{unit}]", xlim=(0, 360))
 
     return svg((10.4, 3.0), draw)

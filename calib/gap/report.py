@@ -58,30 +58,30 @@ def gap_page(report: GapOutcome, made: Provenance) -> str:
 
 def gap_parts(report: GapOutcome) -> Iterator[Section | str]:
     """The page's sections, also for a longer page."""
-    found = report.finding
-    yield verdict(in_words(found))
-    yield tiles(_tiles(found))
+    finding = report.finding
+    yield verdict(in_words(finding))
+    yield tiles(_tiles(finding))
     if report.warnings:
         yield Section("Notes", bullets(report.warnings))
     yield from _ladders(report)
-    yield _effects(found)
-    yield from _left(found)
+    yield _effects(finding)
+    yield from _remainder(finding)
     if report.static is not None:
         yield from _static(report.static)
     if report.dynamic is not None:
         yield from dynamic_sections(report.dynamic)
     if report.maps is not None:
         yield from map_sections(report.maps)
-    yield _nameable(found)
-    yield from _open(found)
+    yield _nameable(finding)
+    yield from _open_questions(finding)
 
 
-def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
-    yield "before", f"{found.gap_before:.2f}", f"times the noise before, on {found.judged_on}"
-    yield "after", _number(found.gap_after, ".2f"), "times the noise that the new arm.toml leaves"
-    names = [one for one in found.effects if one.name.effect != "link_geometry"]
+def _tiles(finding: GapFinding) -> Iterator[tuple[str, str, str]]:
+    yield "before", f"{finding.gap_before:.2f}", f"times the noise before, on {finding.judged_on}"
+    yield "after", _number(finding.gap_after, ".2f"), "times the noise that the new arm.toml leaves"
+    names = [effect for effect in finding.effects if effect.name.effect != "link_geometry"]
     yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named, apart from the geometry"
-    yield "", "yes" if found.unknown is not None else "no", "a residual that no known effect explains"
+    yield "", "yes" if finding.unknown is not None else "no", "a residual that no known effect explains"
 
 
 def _ladders(report: GapOutcome) -> Iterator[Section]:
@@ -90,14 +90,14 @@ def _ladders(report: GapOutcome) -> Iterator[Section]:
         if level is not None:
             steps = steps_of(level.finding)
             drawn = ladder_picture(steps, level.finding.judged_on) if steps else ""
-            said = drawn or paragraph("The gap could not be determined.")
-            yield Section(f"{name}: the gap after each step", said + channels_table(level.finding))
+            content = drawn or paragraph("The gap could not be determined.")
+            yield Section(f"{name}: the gap after each step", content + channels_table(level.finding))
 
 
-def _effects(found: GapFinding) -> Section:
-    if not found.effects:
+def _effects(finding: GapFinding) -> Section:
+    if not finding.effects:
         return Section("Added to the model", paragraph("Nothing."))
-    rows = [row for effect in found.effects for row in _parameter_rows(effect)]
+    rows = [row for effect in finding.effects for row in _parameter_rows(effect)]
     header = (
         ("text", "effect"),
         ("text", "parameter"),
@@ -138,21 +138,21 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "–"
 
 
-def _left(found: GapFinding) -> Iterator[Section]:
+def _remainder(finding: GapFinding) -> Iterator[Section]:
     """What has no single name."""
-    if not found.remainder:
+    if not finding.remainder:
         return
     header = (("text", "where"), "share of the excess [%]", ("text", "root mean square"))
-    rows = [(("text", one.where), _number(100.0 * one.share, ".1f"), ("text", in_units(one.size_si))) for one in found.remainder]
+    rows = [(("text", r.where), _number(100.0 * r.share, ".1f"), ("text", in_units(r.size_si))) for r in finding.remainder]
     yield Section("Unexplained residual", table(header, rows))
 
 
-def _open(found: GapFinding) -> Iterator[Section]:
-    if found.open_questions:
-        lines = [f"{one.question} {one.next_experiment}" for one in found.open_questions]
+def _open_questions(finding: GapFinding) -> Iterator[Section]:
+    if finding.open_questions:
+        lines = [f"{question.question} {question.next_experiment}" for question in finding.open_questions]
         yield Section("Open questions, and the recording that would decide each", bullets(lines))
-    elif found.next_experiment:
-        yield Section("The next experiment", paragraph(found.next_experiment))
+    elif finding.next_experiment:
+        yield Section("The next experiment", paragraph(finding.next_experiment))
 
 
 def _static(gap: StaticGap) -> Iterator[Section]:
@@ -176,23 +176,23 @@ def _static(gap: StaticGap) -> Iterator[Section]:
 
 def _joints(gap: StaticGap) -> Sequence[int]:
     """The joints with findings; else the joint with the largest range."""
-    named = [one.name.acts_on for one in gap.finding.effects]
-    found = [joint for joint in dict.fromkeys(named) if joint is not None and joint <= gap.points.joint_count]
+    named = [effect.name.acts_on for effect in gap.finding.effects]
+    joints = [joint for joint in dict.fromkeys(named) if joint is not None and joint <= gap.points.joint_count]
     if gap.finding.unknown is not None:
-        found += [j for j in range(1, gap.points.joint_count + 1) if f"joint {j}:" in gap.finding.unknown.where]
-    return list(dict.fromkeys(found)) or [int(np.argmax(np.ptp(gap.points.q_rad, axis=0))) + 1]
+        joints += [j for j in range(1, gap.points.joint_count + 1) if f"joint {j}:" in gap.finding.unknown.where]
+    return list(dict.fromkeys(joints)) or [int(np.argmax(np.ptp(gap.points.q_rad, axis=0))) + 1]
 
 
-def _nameable(found: GapFinding) -> Section:
+def _nameable(finding: GapFinding) -> Section:
     rows = [
         (
-            str(one.name),
-            f"{one.detectability:.1f}",
-            f"{one.needed_sd:.1f}",
-            ("text", listed(one.confusable_with) if one.confusable_with else ""),
-            ("text", "yes" if one.is_nameable else "no"),
+            str(nameable.name),
+            f"{nameable.detectability:.1f}",
+            f"{nameable.needed_sd:.1f}",
+            ("text", listed(nameable.confusable_with) if nameable.confusable_with else ""),
+            ("text", "yes" if nameable.is_nameable else "no"),
         )
-        for one in sorted(found.nameable, key=lambda one: (one.name.effect, one.name.joint or 0))
+        for nameable in sorted(finding.nameable, key=lambda nameable: (nameable.name.effect, nameable.name.joint or 0))
     ]
     header = ("effect", "detectability [sd]", "needed [sd]", ("text", "indistinguishable from"), ("text", "identifiable"))
     return Section(
@@ -205,22 +205,22 @@ def _nameable(found: GapFinding) -> Section:
     )
 
 
-def steps_of(found: GapFinding) -> list[tuple[str, float]]:
+def steps_of(finding: GapFinding) -> list[tuple[str, float]]:
     """The nominal model, then with one effect more at a time, last with maps of what sets share; the gap after each, where there
     is one.
     """
-    steps = [("nominal model", found.gap_before), *((str(one.name), one.gap_after) for one in found.effects)]
-    if found.maps is not None:
-        steps.append(("what sets share", found.gap_after))
+    steps = [("nominal model", finding.gap_before), *((str(effect.name), effect.gap_after) for effect in finding.effects)]
+    if finding.maps is not None:
+        steps.append(("what sets share", finding.gap_after))
     return [(name, gap) for name, gap in steps if math.isfinite(gap) and gap > 0.0]
 
 
-def channels_table(found: GapFinding) -> str:
+def channels_table(finding: GapFinding) -> str:
     """Noise, gap before and after of every channel in its own unit."""
     rows = []
-    for channel, floor in found.noise_floor.items():
+    for channel, floor in finding.noise_floor.items():
         unit, factor = unit_of(channel)
-        values = (floor, found.before_si.get(channel, math.nan), found.after_si.get(channel, math.nan))
+        values = (floor, finding.before_si.get(channel, math.nan), finding.after_si.get(channel, math.nan))
         name = channel.rpartition("_")[0] or channel
         rows.append((f"{name} [{unit}]", *(_number(factor * value, ".3g") for value in values)))
     return table(("channel, root mean square", "noise", ("before", "before"), ("after", "after")), rows)
@@ -238,15 +238,15 @@ ROWS_LEAST = 60  # of a cell that is drawn
 
 def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
     """The gap by channel, which run and channel show most, and what is left along what was named."""
-    found, before, table_ = outcome.finding, outcome.before, outcome.rows
-    kept = ", ".join(name for name in outcome.run_names if name in outcome.split.report_runs)
-    about = paragraph(f"The noise floor comes from {table_.floor_source}; runs {kept} were held out for the report.")
-    said = bullets(outcome.warnings) if outcome.warnings else ""
-    if math.isfinite(found.gap_before):
+    finding, before, table_ = outcome.finding, outcome.before, outcome.rows
+    held_out = ", ".join(name for name in outcome.run_names if name in outcome.split.report_runs)
+    about = paragraph(f"The noise floor comes from {table_.floor_source}; runs {held_out} were held out for the report.")
+    notes = bullets(outcome.warnings) if outcome.warnings else ""
+    if math.isfinite(finding.gap_before):
         drawn = channels_picture(outcome)
     else:
         drawn = paragraph("No row of the held-out runs counts: there is no gap to draw.")
-    yield Section("Time series: the gap by channel", about + said + drawn)
+    yield Section("Time series: the gap by channel", about + notes + drawn)
     # the cells with most before
     cells = sorted((c for c in table_.cells if before[c.rows].size), key=lambda c: -rms(before[c.rows]))
     if cells:
@@ -257,39 +257,39 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
         yield Section(title, text + time_picture(outcome, run, cells[:CELLS_MOST]))
     for law in outcome.laws:
         yield Section(f"Time series: {law.name}: data, law and departure", law_picture(law))
-    for effect in found.effects:
+    for effect in finding.effects:
         if (cell := _cell_of(outcome, effect.name)) is not None:
             is_wave = comes_round(effect.name.effect)
             drawn = spectrum_picture(outcome, cell, effect) if is_wave else motion_picture(outcome, cell, str(effect.name))
             yield Section(f"Time series: along {effect.name}", drawn)
-    if not found.effects and found.unknown is not None and cells:
+    if not finding.effects and finding.unknown is not None and cells:
         yield Section(f"Time series: residual in {cells[0]}", motion_picture(outcome, cells[0], "residual"))
 
 
 def _cell_of(outcome: DynamicOutcome, name: EffectName) -> ChannelRows | None:
     """Where an effect took most: its own joint's cells first."""
-    taken = [
+    reductions = [
         (float(np.sum(outcome.before[cell.rows] ** 2) - np.sum(outcome.after[cell.rows] ** 2)), cell)
         for cell in outcome.rows.cells
         if outcome.before[cell.rows].size >= ROWS_LEAST
     ]
-    own = [one for one in taken if name.joint is None or one[1].joint in (name.joint - 1, -1)]
-    most, found = max(own or taken, key=lambda one: one[0], default=(0.0, None))
-    return found if most > 0.0 else None
+    of_joint = [reduction for reduction in reductions if name.joint is None or reduction[1].joint in (name.joint - 1, -1)]
+    largest, cell = max(of_joint or reductions, key=lambda reduction: reduction[0], default=(0.0, None))
+    return cell if largest > 0.0 else None
 
 
-def map_sections(found: MapsFound) -> Iterator[Section]:
+def map_sections(maps: MapsFound) -> Iterator[Section]:
     """What measured maps are good for, and each table beside what was measured; none where no map helped: a note says that."""
-    if not found.drawn:
+    if not maps.drawn:
         return
     header = (("text", "on recordings that were not fitted"), ("before", "without maps"), ("after", "with maps"))
     rows: list[tuple[str | tuple[str, str], ...]] = []
-    for one in found.checks:
-        unit, factor = unit_of(one.channel)
-        what = "tip" if one.joint is None else f"torque of joint {one.joint}"
-        values = (f"{factor * size:.3g}" for size in (one.before, one.after))
+    for check in maps.checks:
+        unit, factor = unit_of(check.channel)
+        what = "tip" if check.joint is None else f"torque of joint {check.joint}"
+        values = (f"{factor * size:.3g}" for size in (check.before, check.after))
         rows.append((("text", f"{what}, root mean square [{unit}]"), *values))
     about = "What departs from its law or has no name, as it was measured. A map corrects; it explains nothing and names nothing."
     yield Section("Measured maps", paragraph(about) + table(header, rows))
-    for drawn in found.drawn:
+    for drawn in maps.drawn:
         yield Section(f"Measured map: {drawn.map}", map_picture(drawn))

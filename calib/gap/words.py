@@ -21,78 +21,77 @@ def unit_of(channel: str) -> tuple[str, float]:
     return _UNITS.get(unit, (unit, 1.0))
 
 
-def in_words(found: GapFinding) -> tuple[str, ...]:
+def in_words(finding: GapFinding) -> tuple[str, ...]:
     """Sentences that can be read alone."""
-    return tuple(_sentences(found))
+    return tuple(_sentences(finding))
 
 
-def _sentences(found: GapFinding) -> Iterator[str]:
-    named = [effect for effect in found.effects if effect.name.effect != GEOMETRY]
-    if any(effect.name.effect == GEOMETRY for effect in found.effects):
+def _sentences(finding: GapFinding) -> Iterator[str]:
+    named = [effect for effect in finding.effects if effect.name.effect != GEOMETRY]
+    if any(effect.name.effect == GEOMETRY for effect in finding.effects):
         yield "The nominal geometry does not fit this arm; it was identified with the effects (link_geometry)."
     for effect in named:
         if effect.is_nothing:
             yield f"Not there: {effect.name}, which the arm's file has; it is removed."
         else:
             yield f"Named: {effect.name} ({parameters_text(effect)})."
-    if not named and found.unknown is None and not found.ambiguous:
+    if not named and finding.unknown is None and not finding.ambiguous:
         yield "Nothing is named: apart from the geometry, no known effect is needed to explain this data."
-    for names in found.ambiguous:
-        yield f"This data cannot distinguish {listed(names)}; none of them is named.{_shared(found, names)}"
-    if found.unknown is not None:
-        yield f"Unknown: {found.unknown.where}.{_nearest(found.unknown)}"
-    after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
-    if math.isnan(found.gap_after):
+    for names in finding.ambiguous:
+        yield f"This data cannot distinguish {listed(names)}; none of them is named.{_shared(finding, names)}"
+    if finding.unknown is not None:
+        yield f"Unknown: {finding.unknown.where}.{_nearest(finding.unknown)}"
+    after = "at the noise" if finding.gap_after <= AT_FLOOR else f"{finding.gap_after:.2f} times the noise"
+    if math.isnan(finding.gap_after):
         after = "not evaluated for the joint findings of poses and time series"
-    if math.isnan(found.gap_before):
-        yield f"The gap could not be evaluated: on {found.judged_on} nothing moves that any channel shows."
+    if math.isnan(finding.gap_before):
+        yield f"The gap could not be evaluated: on {finding.judged_on} nothing moves that any channel shows."
     else:
-        yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
-    if "turn_rad" in found.noise_floor:
+        yield f"The gap on {finding.judged_on}: {finding.gap_before:.2f} times the noise before, {after} after."
+    if "turn_rad" in finding.noise_floor:
         yield (
             "Measured orientations count beside the tip, each by its own noise:"
-            f" {1e3 * found.noise_floor['turn_rad']:.2g} mrad about an axis, {1e3 * found.noise_floor['tip_m']:.2g} mm along one."
+            f" {1e3 * finding.noise_floor['turn_rad']:.2g} mrad about an axis,"
+            f" {1e3 * finding.noise_floor['tip_m']:.2g} mm along one."
         )
-    yield from _departing(found)
-    yield from _maps(found)
-    blind = [one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}]
+    yield from _departing(finding)
+    yield from _maps(finding)
+    blind = [entry.name for entry in finding.nameable if not entry.is_nameable and entry.name not in {n.name for n in named}]
     if blind:
-        yield (
-            f"This data could not name {_some(blind)} of usual size (too small beside the noise, or indistinguishable from"
-            " others)."
-        )
-    if found.next_experiment:
-        yield found.next_experiment
+        why = "too small beside the noise, or indistinguishable from others"
+        yield f"This data could not name {_listed_short(blind)} of usual size ({why})."
+    if finding.next_experiment:
+        yield finding.next_experiment
 
 
-def _shared(found: GapFinding, names: Sequence[EffectName]) -> str:
+def _shared(finding: GapFinding, names: Sequence[EffectName]) -> str:
     """The map of what a set of effects shares, where it has one."""
-    maps = () if found.maps is None else found.maps.maps
+    maps = () if finding.maps is None else finding.maps.maps
     joints = {name.joint for name in names}
-    own = [str(one) for one in maps if one.corrects == "angle_rad" and one.joint in joints]
-    return f" Their common part is in arm.toml as a map: {' and '.join(own)}." if own else ""
+    common = [str(correction) for correction in maps if correction.corrects == "angle_rad" and correction.joint in joints]
+    return f" Their common part is in arm.toml as a map: {' and '.join(common)}." if common else ""
 
 
-def _departing(found: GapFinding) -> Iterator[str]:
+def _departing(finding: GapFinding) -> Iterator[str]:
     """How much of what arm.toml leaves is no riddle: named parts depart from their laws."""
-    if found.gap_after > AT_FLOOR and found.gap_after > UNTOLD * found.gap_explained:
+    if finding.gap_after > AT_FLOOR and finding.gap_after > UNTOLD * finding.gap_explained:
         yield (
             "arm.toml has the laws alone; with the departures of these parts from them"
-            f" {found.gap_explained:.2f} times the noise would remain. Measured maps (--map) hold more."
+            f" {finding.gap_explained:.2f} times the noise would remain. Measured maps (--map) hold more."
         )
 
 
-def _maps(found: GapFinding) -> Iterator[str]:
+def _maps(finding: GapFinding) -> Iterator[str]:
     """What was measured as maps, apart from all names."""
-    if found.maps is None or not found.maps.maps:
+    if finding.maps is None or not finding.maps.maps:
         return
-    yield f"Measured as maps, which correct without a cause: {', '.join(map(str, found.maps.maps))}."
-    for one in found.maps.checks:
-        unit, factor = unit_of(one.channel)
-        unit += " at the tip" if one.joint is None else f" on joint {one.joint}"
+    yield f"Measured as maps, which correct without a cause: {', '.join(map(str, finding.maps.maps))}."
+    for check in finding.maps.checks:
+        unit, factor = unit_of(check.channel)
+        unit += " at the tip" if check.joint is None else f" on joint {check.joint}"
         yield (
-            f"On recordings that were not fitted, arm.toml leaves {factor * one.before:.3g} {unit} without its maps and"
-            f" {factor * one.after:.3g} with them."
+            f"On recordings that were not fitted, arm.toml leaves {factor * check.before:.3g} {unit} without its maps and"
+            f" {factor * check.after:.3g} with them."
         )
 
 
@@ -116,11 +115,11 @@ def parameters_text(effect: NamedEffect) -> str:
     )
 
 
-def _some(names: Sequence[EffectName]) -> str:
+def _listed_short(names: Sequence[EffectName]) -> str:
     """All where they are few; else the kinds, with how many of each."""
     if len(names) <= LISTED_MOST:
         return listed(names)
-    kinds = Counter(one.effect for one in names)
+    kinds = Counter(name.effect for name in names)
     texts = [f"{kind} ({count})" if count > 1 else kind for kind, count in kinds.items()]
     return f"{len(names)} effects: {', '.join(texts)},"
 

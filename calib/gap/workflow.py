@@ -71,13 +71,13 @@ def brought_together(static: GapFinding | None, dynamic: GapFinding | None) -> G
             raise ValueError("expected the finding of at least one level")
         return only
     static, dynamic = _as_looked_at(static, dynamic), _as_looked_at(dynamic, static)
-    sentences = [one[:1].upper() + one[1:] for one in (static.next_experiment, dynamic.next_experiment) if one]
-    open_ = [one for one in (static.unknown, dynamic.unknown) if one is not None]
-    nearest = max(open_, key=lambda one: one.explained, default=None)
+    sentences = [text[:1].upper() + text[1:] for text in (static.next_experiment, dynamic.next_experiment) if text]
+    unknowns = [unknown for unknown in (static.unknown, dynamic.unknown) if unknown is not None]
+    nearest = max(unknowns, key=lambda unknown: unknown.explained, default=None)
     seen: dict[EffectName, Nameable] = {}  # every effect where it is seen better
-    for one in (*static.nameable, *dynamic.nameable):
-        if one.name not in seen or _rank(one) > _rank(seen[one.name]):
-            seen[one.name] = one
+    for nameable in (*static.nameable, *dynamic.nameable):
+        if nameable.name not in seen or _rank(nameable) > _rank(seen[nameable.name]):
+            seen[nameable.name] = nameable
 
     def rms(key: str) -> float:
         return math.hypot(getattr(static, key), getattr(dynamic, key)) / math.sqrt(2.0)
@@ -93,9 +93,9 @@ def brought_together(static: GapFinding | None, dynamic: GapFinding | None) -> G
         after_si={**dynamic.after_si, **static.after_si},
         effects=_effects(static, dynamic),
         ambiguous=_sets(static, dynamic),
-        unknown=nearest and dataclasses.replace(nearest, where="; ".join(dict.fromkeys(one.where for one in open_))),
+        unknown=nearest and dataclasses.replace(nearest, where="; ".join(dict.fromkeys(unknown.where for unknown in unknowns))),
         nameable=tuple(seen.values()),
-        next_experiment=" ".join(one if one.endswith(".") else f"{one}." for one in sentences) or None,
+        next_experiment=" ".join(sentence if sentence.endswith(".") else f"{sentence}." for sentence in sentences) or None,
         is_held_out=static.is_held_out and dynamic.is_held_out,
         remainder=(*static.remainder, *dynamic.remainder),
         open_questions=(*static.open_questions, *dynamic.open_questions),
@@ -103,46 +103,46 @@ def brought_together(static: GapFinding | None, dynamic: GapFinding | None) -> G
     )
 
 
-def changed_between(found: GapFinding, poses: Told, series: Told) -> tuple[str, ...]:
+def changed_between(finding: GapFinding, poses: Told, series: Told) -> tuple[str, ...]:
     """A doubt for each name whose size the two recordings by no means share: was the arm changed between them?"""
     return tuple(
-        f"{one.name}: poses show {poses.words(one.name)}, time series {series.words(one.name)}. No arm has both: was it changed"
-        " between the recordings? The new arm.toml has what is likeliest for both"
-        for one in found.effects
-        if poses.differs_from(series, one.name)
+        f"{name}: poses show {poses.words(name)}, time series {series.words(name)}. No arm has both: was it changed between the"
+        " recordings? The new arm.toml has what is likeliest for both"
+        for name in (effect.name for effect in finding.effects)
+        if poses.differs_from(series, name)
     )
 
 
-def _as_looked_at(found: GapFinding, other: GapFinding) -> GapFinding:
-    """Without a gap afterwards where the other names one of a set that this one left open even so: nobody has looked with that
-    name added. It takes the place of the map that the set had.
+def _as_looked_at(finding: GapFinding, counterpart: GapFinding) -> GapFinding:
+    """Without a gap afterwards where its counterpart names one of a set that this one left open even so: nobody has looked with
+    that name added. It takes the place of the map that the set had.
     """
-    named = {one.name for one in other.effects}
-    later = {name.acts_on for names in found.ambiguous for name in names if name in named}
+    named = {effect.name for effect in counterpart.effects}
+    later = {name.acts_on for names in finding.ambiguous for name in names if name in named}
     if not later:
-        return found
-    kept = tuple(one for one in (found.maps or MeasuredMaps()).maps if one.joint not in later)
+        return finding
+    maps = tuple(correction for correction in (finding.maps or MeasuredMaps()).maps if correction.joint not in later)
     return dataclasses.replace(
-        found,
+        finding,
         gap_after=math.nan,
         gap_explained=math.nan,
-        after_si=dict.fromkeys(found.after_si, math.nan),
-        maps=MeasuredMaps(kept, ()) if kept else None,
+        after_si=dict.fromkeys(finding.after_si, math.nan),
+        maps=MeasuredMaps(maps, ()) if maps else None,
     )
 
 
 def _sets(static: GapFinding, dynamic: GapFinding) -> tuple[tuple[EffectName, ...], ...]:
     """Ambiguous sets of which the other level names none; two that share members become what they share."""
     of_poses, of_series = (
-        [names for names in one.ambiguous if not {*names} & {effect.name for effect in other.effects}]
-        for one, other in ((static, dynamic), (dynamic, static))
+        [names for names in finding.ambiguous if not {*names} & {effect.name for effect in counterpart.effects}]
+        for finding, counterpart in ((static, dynamic), (dynamic, static))
     )
-    found = []
+    sets = []
     for names in of_poses:
-        shared = (tuple(name for name in names if name in other) for other in of_series)
-        found.append(next((some for some in shared if len(some) > 1), names))
-    found += [names for names in of_series if not any({*names} & {*other} for other in of_poses)]
-    return tuple(dict.fromkeys(found))
+        shared = (tuple(name for name in names if name in of_set) for of_set in of_series)
+        sets.append(next((common for common in shared if len(common) > 1), names))
+    sets += [names for names in of_series if not any({*names} & {*of_set} for of_set in of_poses)]
+    return tuple(dict.fromkeys(sets))
 
 
 def _effects(static: GapFinding, dynamic: GapFinding) -> tuple[NamedEffect, ...]:
@@ -150,24 +150,24 @@ def _effects(static: GapFinding, dynamic: GapFinding) -> tuple[NamedEffect, ...]
 
     The file's geometry is that of the poses, identified beside these parameters; the time series were looked at with it.
     """
-    found = {effect.name: effect for effect in static.effects}
+    by_name = {effect.name: effect for effect in static.effects}
     for effect in dynamic.effects:
-        known = found.setdefault(effect.name, effect)
+        known = by_name.setdefault(effect.name, effect)
         if known is not effect and effect.name.effect not in IN_KINEMATICS:
             values = {
-                f"{name} by {level}": one.parameters[name][0]
-                for level, one in ((POSES, known), (SERIES, effect))
-                for name in one.parameters
+                f"{name} by {level}": source.parameters[name][0]
+                for level, source in ((POSES, known), (SERIES, effect))
+                for name in source.parameters
                 if name in known.parameters and name in effect.parameters
             }
             evidence = {**effect.evidence, **known.evidence, **values}
             parameters = {**effect.parameters, **known.parameters}  # damping shows in motion alone
-            found[effect.name] = dataclasses.replace(known, parameters=parameters, evidence=evidence)
-    return tuple(found.values())
+            by_name[effect.name] = dataclasses.replace(known, parameters=parameters, evidence=evidence)
+    return tuple(by_name.values())
 
 
-def _rank(one: Nameable) -> tuple[bool, float]:
-    return one.is_nameable, one.detectability / one.needed_sd
+def _rank(nameable: Nameable) -> tuple[bool, float]:
+    return nameable.is_nameable, nameable.detectability / nameable.needed_sd
 
 
 RESULTS = ("gap.json", "arm.toml", "report.html")
@@ -229,13 +229,13 @@ def find_gap(
     require_effects(without)
     if points is None and log is None:
         raise CalibrationError("gap: expected static poses, time series, or both; got neither")
-    said = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
-    arm = given = dataclasses.replace(arm, maps=())
+    notes = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
+    arm = given_arm = dataclasses.replace(arm, maps=())
     first, last = (0.0, 1.0) if points is None else (1.0, 1.0) if log is None else SHARES
     doubts: tuple[str, ...] = ()
     static = dynamic = None
     if points is not None:
-        static = find(given, points, lambda what, done: advance(what, first * done), without)
+        static = find(given_arm, points, lambda what, done: advance(what, first * done), without)
         arm = static.arm
     if log is not None:
         tried = [name for name in EFFECTS if name not in without] if without else None
@@ -257,25 +257,25 @@ def find_gap(
     finding = brought_together(
         None if static is None else static.finding, None if dynamic is None else as_totals(arm, dynamic.finding)
     )
-    levels = [one for one in (static, dynamic) if one is not None]
-    warnings = (*doubts, *said, *(sentence for one in levels for sentence in one.warnings))
+    levels = [level for level in (static, dynamic) if level is not None]
+    warnings = (*doubts, *notes, *(sentence for level in levels for sentence in level.warnings))
     if log is not None:
-        finding = dataclasses.replace(finding, effects=(*finding.effects, *gears_by_leads(given, log)))
-    found = GapOutcome(consistent(finding), static, dynamic, warnings)
-    before = {} if static is None else numbers_before(given, static.arm)
-    return _with_given_numbers(found, before) if before else found
+        finding = dataclasses.replace(finding, effects=(*finding.effects, *gears_by_leads(given_arm, log)))
+    outcome = GapOutcome(consistent(finding), static, dynamic, warnings)
+    before = {} if static is None else numbers_before(given_arm, static.arm)
+    return _with_given_numbers(outcome, before) if before else outcome
 
 
-def _with_given_numbers(found: GapOutcome, before: Mapping[int, int]) -> GapOutcome:
+def _with_given_numbers(outcome: GapOutcome, before: Mapping[int, int]) -> GapOutcome:
     """All that is said of links, by their numbers in the given file, too; what is only computed with stays."""
-    static, dynamic = found.static, found.dynamic
+    static, dynamic = outcome.static, outcome.dynamic
     if static is not None:
         finding, stages = with_given_numbers((static.finding, static.stages), before)
         static = dataclasses.replace(static, finding=finding, stages=stages)
     if dynamic is not None:
         dynamic = dataclasses.replace(dynamic, finding=with_given_numbers(dynamic.finding, before))
-    said = with_given_numbers((found.finding, found.warnings), before)
-    return GapOutcome(said[0], static, dynamic, said[1])
+    finding, warnings = with_given_numbers((outcome.finding, outcome.warnings), before)
+    return GapOutcome(finding, static, dynamic, warnings)
 
 
 def find_gap_in(
@@ -285,37 +285,37 @@ def find_gap_in(
 
     `with_maps`: what is left is measured as maps besides, which stand in arm.toml where they help what was not fitted.
     """
-    searched, log, said = arm, recordings.log, list(recordings.warnings)
+    searched, log, notes = arm, recordings.log, list(recordings.warnings)
     if recordings.are_torques and len(arm.drives) < arm.joint_count:
         searched, without = with_ideal_drives(arm), (*without, *needing_drives())
         log = None if log is None else without_voltages(log)
-        said.append(
+        notes.append(
             f"arm {arm.name} has no [[drive]] of some joints: its torques are taken as they are, without rotors; not tried are"
             f" {', '.join(needing_drives())}"
         )
-    found = find_gap(searched, recordings.points, log, without=without, advance=advance)
+    outcome = find_gap(searched, recordings.points, log, without=without, advance=advance)
     files = (*recordings.point_files, *recordings.log_files)
-    found = dataclasses.replace(
-        found,
-        finding=dataclasses.replace(found.finding, data=tuple(path.name for path in files)),
-        warnings=(*said, *found.warnings),
+    outcome = dataclasses.replace(
+        outcome,
+        finding=dataclasses.replace(outcome.finding, data=tuple(path.name for path in files)),
+        warnings=(*notes, *outcome.warnings),
     )
-    return _mapped(arm, found) if with_maps else found
+    return _mapped(arm, outcome) if with_maps else outcome
 
 
-def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
+def _mapped(arm: Arm, outcome: GapOutcome) -> GapOutcome:
     """With maps of what the arm leaves that has everything named."""
-    model, maps = _updated(arm, found.finding, found.static), MapsFound((), ())
-    if found.static is not None:
-        model, angles = angle_maps(model, found.static)
+    model, maps = _updated(arm, outcome.finding, outcome.static), MapsFound((), ())
+    if outcome.static is not None:
+        model, angles = angle_maps(model, outcome.static)
         maps += angles
-    if found.dynamic is not None:
-        model, torques = torque_maps(model, found.dynamic)
+    if outcome.dynamic is not None:
+        model, torques = torque_maps(model, outcome.dynamic)
         maps += torques
-    shared = found.finding.maps or MeasuredMaps()
+    shared = outcome.finding.maps or MeasuredMaps()
     summary = MeasuredMaps((*shared.maps, *maps.maps), (*shared.checks, *maps.checks))
-    finding = dataclasses.replace(found.finding, maps=summary)
-    return dataclasses.replace(found, finding=finding, maps=maps, mapped=model, warnings=(*found.warnings, *maps.sentences))
+    finding = dataclasses.replace(outcome.finding, maps=summary)
+    return dataclasses.replace(outcome, finding=finding, maps=maps, mapped=model, warnings=(*outcome.warnings, *maps.sentences))
 
 
 def _updated(arm: Arm, finding: GapFinding, static: StaticGap | None) -> Arm:
@@ -354,8 +354,8 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     try:
         page = gap_page(outcome, made)
     except Exception as error:  # whatever a picture stumbles over, the words stand: what was found is worth more
-        said = f"the pictures could not be drawn ({type(error).__name__}: {error}): please report this"
-        bare = GapOutcome(outcome.finding, None, None, (*outcome.warnings, said), outcome.maps)
+        notice = f"the pictures could not be drawn ({type(error).__name__}: {error}): please report this"
+        bare = GapOutcome(outcome.finding, None, None, (*outcome.warnings, notice), outcome.maps)
         page = gap_page(bare, made)
     write_whole(out / "report.html", page)
     return model
@@ -371,26 +371,26 @@ CHANNELS = {
 }  # those that name effects
 
 
-def consistent(found: GapFinding) -> GapFinding:
+def consistent(finding: GapFinding) -> GapFinding:
     """The same without sets that a name has settled, and with what is left said where nothing else says it."""
-    named = {effect.name for effect in found.effects}
-    sets = tuple(names for names in found.ambiguous if not named.intersection(names))
-    settled = found if sets == found.ambiguous else dataclasses.replace(found, ambiguous=sets, next_experiment=MORE)
-    is_silent = found.unknown is None and not sets and not found.remainder
-    if is_silent and found.unexplained > SILENT_MOST:
-        return dataclasses.replace(settled, unknown=Unknown(_left(settled), None, 0.0), next_experiment=MORE)
+    named = {effect.name for effect in finding.effects}
+    sets = tuple(names for names in finding.ambiguous if not named.intersection(names))
+    settled = finding if sets == finding.ambiguous else dataclasses.replace(finding, ambiguous=sets, next_experiment=MORE)
+    is_silent = finding.unknown is None and not sets and not finding.remainder
+    if is_silent and finding.unexplained > SILENT_MOST:
+        return dataclasses.replace(settled, unknown=Unknown(_excess_in_words(settled), None, 0.0), next_experiment=MORE)
     return settled
 
 
-def _left(found: GapFinding) -> str:
+def _excess_in_words(finding: GapFinding) -> str:
     """How much is left, and in which channel most of it."""
     times = {
-        channel: found.after_si.get(channel, math.nan) / floor
-        for channel, floor in found.noise_floor.items()
+        channel: finding.after_si.get(channel, math.nan) / floor
+        for channel, floor in finding.noise_floor.items()
         if channel in CHANNELS and floor > 0.0
     }
     seen = {channel: value for channel, value in times.items() if math.isfinite(value)}
     if not seen:
-        return f"{found.unexplained:.1f} times the noise"
+        return f"{finding.unexplained:.1f} times the noise"
     channel = max(seen, key=lambda key: seen[key])
     return f"{CHANNELS[channel]}, {seen[channel]:.1f} times the noise"

@@ -21,15 +21,15 @@ from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
 RECORDS: Final[dict[str, EffectRecord]] = {
-    one.effect: one for one in (*encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS)
+    record.effect: record for record in (*encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS)
 }
 
 
 # What both poses and time series may show of an arm, by one set of linear unknowns; what warms up does so anew in each session.
 SHARED: Final = tuple(
     name
-    for name, one in RECORDS.items()
-    if one.poses is not None and one.series is not None and name in LAWS and not EFFECTS[name].alike
+    for name, record in RECORDS.items()
+    if record.poses is not None and record.series is not None and name in LAWS and not EFFECTS[name].alike
 )
 
 
@@ -47,9 +47,9 @@ def pose_terms(scene: PoseScene, effects: Collection[str] = RECORDS.keys()) -> t
     """Every effect on every joint or link, in every variant, that these poses could show; `effects`: only these."""
     return tuple(
         term
-        for one in RECORDS.values()
-        if one.poses is not None and one.effect in effects
-        for term in one.poses.terms(one, scene)
+        for record in RECORDS.values()
+        if record.poses is not None and record.effect in effects
+        for term in record.poses.terms(record, scene)
     )
 
 
@@ -65,8 +65,8 @@ def is_load(effect: str) -> bool:
 
 def told_apart_by(effects: Collection[str]) -> list[str]:
     """The recordings of poses that would settle which of these effects is there."""
-    some = [poses for effect in effects if (poses := poses_of(effect)) is not None]
-    return list(dict.fromkeys(one.told_apart_by for one in some))
+    looks = [poses for effect in effects if (poses := poses_of(effect)) is not None]
+    return list(dict.fromkeys(in_poses.told_apart_by for in_poses in looks))
 
 
 def role_of(effect: str) -> Role:
@@ -76,13 +76,13 @@ def role_of(effect: str) -> Role:
 
 def needing_drives() -> tuple[str, ...]:
     """The effects that need the drives' electrical values."""
-    return tuple(one.effect for one in RECORDS.values() if one.needs_drives)
+    return tuple(record.effect for record in RECORDS.values() if record.needs_drives)
 
 
 def known_laws(arm: Arm) -> tuple[Law, ...]:
     """What the arm's file already has and what shows in time series."""
-    some = [(EffectName(one.effect, one.joint), one.parameters) for one in arm.effects]
-    laws = (known_law(RECORDS[name.effect], name, given) for name, given in some if name.effect in RECORDS)
+    effects = [(EffectName(effect.effect, effect.joint), effect.parameters) for effect in arm.effects]
+    laws = (known_law(RECORDS[name.effect], name, values) for name, values in effects if name.effect in RECORDS)
     return tuple(law for law in laws if law is not None)
 
 
@@ -107,7 +107,7 @@ def usual(effect: str) -> float:
 
 
 def series_terms(
-    around: OperatingPoint,
+    point: OperatingPoint,
     names: Collection[str] | None = None,
     before: Sequence[SeriesTerm] = (),
     keys: Collection[Key] | None = None,
@@ -117,19 +117,19 @@ def series_terms(
     `before`: the terms of the first linearisation, which stay for what was not found, unless what was found on its joint changes
     it: a gear that is soft or loose another such gear, an encoder's error where the motor's cogging comes round.
     """
-    found = around.found.values()
-    geared = {law.name.joint for law in found if law.form.is_gear}
-    misread = {place(law)[0] + 1 for law in found if law.form.acts == "angle"}
-    for record, key in _listed(around.scene):
+    laws = point.found.values()
+    geared = {law.name.joint for law in laws if law.form.is_gear}
+    misread = {place(law)[0] + 1 for law in laws if law.form.acts == "angle"}
+    for record, key in _listed(point.scene):
         if keys is not None and key not in keys:
             continue
         is_listed = names is None or key.effect in names or key.effect not in EFFECTS
-        own = key if is_listed else Block(key.joint or 0, key.effect)
+        listed_key = key if is_listed else Block(key.joint or 0, key.effect)
         is_other = (is_gear(key.effect) and key.joint in geared) or (comes_round(key.effect) and key.joint in misread)
-        if before and key not in around.found and not is_other:
-            yield from (one for one in before if one.key == own)
+        if before and key not in point.found and not is_other:
+            yield from (term for term in before if term.key == listed_key)
         elif record.series is not None:
-            terms = record.series.terms(Sought(around, record, key))
+            terms = record.series.terms(Sought(point, record, key))
             yield from terms if is_listed else map(unlisted, terms)
 
 
@@ -145,20 +145,21 @@ def comes_round(effect: str) -> bool:
 
 def _listed(scene: SeriesScene) -> Iterator[tuple[EffectRecord, EffectName]]:
     """What the channels could show: all of joint 1, all of joint 2 ..., then what is no joint's."""
-    recording = scene.recording
+    arm, recording = scene.arm, scene.recording
     has = {
         "motor": recording.has_current or recording.has_voltage,
         "angle": True,
         "tip": recording.has_tip,
         "electrical": recording.has_current and recording.has_voltage,  # of voltages alone, all that is slow looks late
     }
-    shown = [one for one in RECORDS.values() if one.series is not None and has[one.series.needs]]
-    of_joints = [one for one in shown if _is_of_joints(one)]
-    for joint in range(1, scene.arm.joint_count + 1):
-        yield from ((one, EffectName(one.effect, joint)) for one in of_joints if scene.arm.is_behind_encoder(one.effect, joint))
-    for one in shown:
-        if one not in of_joints and one.series is not None:
-            yield from ((one, EffectName(one.effect, place)) for place in one.series.places(scene.arm))
+    shown = [record for record in RECORDS.values() if record.series is not None and has[record.series.needs]]
+    of_joints = [record for record in shown if _is_of_joints(record)]
+    for joint in range(1, arm.joint_count + 1):
+        behind = [record for record in of_joints if arm.is_behind_encoder(record.effect, joint)]
+        yield from ((record, EffectName(record.effect, joint)) for record in behind)
+    for record in shown:
+        if record not in of_joints and record.series is not None:
+            yield from ((record, EffectName(record.effect, place)) for place in record.series.places(arm))
 
 
 def _is_of_joints(record: EffectRecord) -> bool:

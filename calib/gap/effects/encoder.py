@@ -19,8 +19,8 @@ from calib.gap.effects.record import (
     Sought,
     by_angle,
     harmonics,
+    shaped,
     straight,
-    with_own,
 )
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.term import Term, ToParameters, Traits, like
@@ -102,9 +102,9 @@ def _final(constant_s: float, sd: float) -> ToParameters:
 
 def _in_series(sought: Sought) -> Iterator[SeriesTerm]:
     """Over a milliradian at each time constant; how that changes with it is what the next one has more."""
-    own, scene = sought.own, sought.around.scene
-    times = WARMING_s if own is None else tuple(own.values[1] * k for k in FINER)
-    base, at = sought.around.without(sought.key)
+    identified, scene = sought.identified, sought.point.scene
+    times = WARMING_s if identified is None else tuple(identified.values[1] * k for k in FINER)
+    base, at = sought.point.without(sought.key)
     for form in sought.forms:
         size, columns = sought.size(form), []
         for time_s in times:
@@ -112,7 +112,7 @@ def _in_series(sought: Sought) -> Iterator[SeriesTerm]:
             columns.append(scene.split((moved * (size / 1e-3))[:, None]))
         for (time_s, here), (later_s, there) in itertools.pairwise(zip(times, columns, strict=True)):
             slope = {cell: there.get(cell, 0.0) - own_rows for cell, own_rows in here.items()}
-            yield from with_own(sought, form, time_s, later_s / time_s - 1.0, (here, slope))
+            yield from shaped(sought, form, time_s, later_s / time_s - 1.0, (here, slope))
 
 
 def _warmed(values: Values, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
@@ -138,10 +138,10 @@ def _form(name: str, where: Literal["behind", "seen"]) -> Form:
     )
 
 
-def _known(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law | None:
+def _known(series: InSeries, name: EffectName, parameters: Mapping[str, float]) -> Law | None:
     if name.joint is None:
         return None
-    return Law(name, series.form, (given["final_rad"], given["time_constant_s"]))
+    return Law(name, series.form, (parameters["final_rad"], parameters["time_constant_s"]))
 
 
 def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:

@@ -148,14 +148,14 @@ SPRING = Form(
 LOOSE = Form("backlash", "play", 5e-4, count=2, counted=1, steps=(5e-5, 5e-2), lower=(0.0, 0.0), upper=(0.2, 1.0))
 
 
-def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
-    return Law(name, series.form, (1.0 / given["stiffness_Nm_rad"], given.get("damping_Nm_s_rad", 0.0), 0.0))
+def _known_spring(series: InSeries, name: EffectName, parameters: Mapping[str, float]) -> Law:
+    return Law(name, series.form, (1.0 / parameters["stiffness_Nm_rad"], parameters.get("damping_Nm_s_rad", 0.0), 0.0))
 
 
 def _spring_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     """With the damping, however little is known of it: a file that says none says that the spring swings on and on."""
-    found = parameters_of("joint_compliance")(np.array(law.values), covariance)
-    return {**found, "damping_Nm_s_rad": (law.values[1], float(np.sqrt(max(covariance[1, 1], 0.0))))}
+    spring = parameters_of("joint_compliance")(np.array(law.values), covariance)
+    return {**spring, "damping_Nm_s_rad": (law.values[1], float(np.sqrt(max(covariance[1, 1], 0.0))))}
 
 
 RECORDS = (

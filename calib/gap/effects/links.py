@@ -37,12 +37,12 @@ def _flexure(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
         alone = dataclasses.replace(
             arm,
             links=tuple(
-                dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0) for k, one in enumerate(arm.links, start=1)
+                dataclasses.replace(body, mass_kg=body.mass_kg if k == link else 0.0) for k, body in enumerate(arm.links, start=1)
             ),
         )
-        own = _both(bending(alone, frames, nothing, link)) if alone.links[link - 1].mass_kg else 0.0 * bare
-        for variant, weight in enumerate((own, _both(_spread(arm, frames, link))) if own.any() else (own,)):
-            parts = [weight, bare - own, payload]
+        own_weight = _both(bending(alone, frames, nothing, link)) if alone.links[link - 1].mass_kg else 0.0 * bare
+        for variant, weight in enumerate((own_weight, _both(_spread(arm, frames, link))) if own_weight.any() else (own_weight,)):
+            parts = [weight, bare - own_weight, payload]
             total = np.asarray(sum(parts))
             if np.ptp(total, axis=0).max() == 0.0:
                 continue
@@ -72,13 +72,13 @@ def _both(bent: Bending) -> Array:
 def _spread(arm: Arm, frames: LinkFrames, link: int) -> Bending:
     """What happens per 1 / EI when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
     before = 0 if arm.dh_convention == "modified" else 1
-    following = next((k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None)
+    following = next((k for k, body in enumerate(arm.links, start=1) if k > link and body.joint == "revolute"), None)
     begin = frames.origin_m[:, link - before]
     end = frames.tip_m if following is None else frames.origin_m[:, following - before]
     length = np.linalg.norm(end - begin, axis=1, keepdims=True)
     along = (end - begin) / length
     mass = sum(
-        one.mass_kg or 0.0 for k, one in enumerate(arm.links, start=1) if k >= link and (following is None or k < following)
+        body.mass_kg or 0.0 for k, body in enumerate(arm.links, start=1) if k >= link and (following is None or k < following)
     )
     force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
     across = force - np.sum(force * along, axis=1, keepdims=True) * along
@@ -139,22 +139,22 @@ def _total(arm: Arm, moved: Array, sd: Array) -> Parameters:
 
 def _moved(value: Array) -> Array:
     """Translation and rotation vector (6,) of coefficients (2,) or (4,) that alternate."""
-    axes, found = np.array(_AXES_OF[len(value)]), np.zeros(6)
-    found[axes], found[3 + axes] = value[0::2], value[1::2]
-    return found
+    axes, moved = np.array(_AXES_OF[len(value)]), np.zeros(6)
+    moved[axes], moved[3 + axes] = value[0::2], value[1::2]
+    return moved
 
 
 def _in_series(arm: Arm, law: Law, covariance: Array) -> Parameters:
     return _total(arm, np.array(law.values), np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
-def beyond_linear_m(one: Term, coefficients: Array, position_m: Array) -> Array:
+def beyond_linear_m(term: Term, coefficients: Array, position_m: Array) -> Array:
     """What a frame of these coefficients does to the tips (m, 3) beyond the term's columns.
 
     Half the square of a turn of 20 mrad is 0.1 mm at arm's length: as much as the noise.
     """
     moved = _moved(coefficients * np.tile((SHIFT_m, TURN_rad), len(coefficients) // 2))
-    linear = 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", coefficients, one.slope_m)
+    linear = 0.0 if term.slope_m is None else np.einsum("c,cmi->mi", coefficients, term.slope_m)
     return np.asarray(seen_less_far_m(position_m, moved) - linear)
 
 

@@ -41,10 +41,10 @@ def _constants(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     gravity, size = scene.gravity_Nm, in_poses(record).size
     if gravity is None or not _has_currents(scene):
         return
-    for j, own in enumerate(gravity.T):
-        if np.ptp(own) > NO_TORQUE_Nm:
-            departures = like(own, [own * np.abs(own)])
-            columns = on_joint(size * np.array([own, *departures]), j, gravity.shape[1])
+    for j, load_Nm in enumerate(gravity.T):
+        if np.ptp(load_Nm) > NO_TORQUE_Nm:
+            departures = like(load_Nm, [load_Nm * np.abs(load_Nm)])
+            columns = on_joint(size * np.array([load_Nm, *departures]), j, gravity.shape[1])
             yield Term(
                 EffectName(record.effect, j + 1),
                 "",
@@ -86,7 +86,7 @@ def _has_currents(scene: PoseScene) -> bool:
 def _torque_Nm(arm: Arm, frames: LinkFrames, place_m: Array, link: int) -> Array:
     """What a kilogram at a place (m, 3) of a link (1-based) asks of every joint, (m, n)."""
     torque = np.zeros((len(place_m), arm.joint_count))
-    turning = [k for k, one in enumerate(arm.links, start=1) if one.joint == "revolute"]
+    turning = [k for k, link in enumerate(arm.links, start=1) if link.joint == "revolute"]
     before = 0 if arm.dh_convention == "modified" else 1
     for j, k in enumerate(turning):
         if k <= link:
@@ -143,7 +143,7 @@ RECORDS = (
             straight,
             "motor",
             least=_least,
-            places=lambda arm: [k for k, one in enumerate(arm.links, 1) if one.mass_kg is not None and one.com_m is not None],
+            places=lambda arm: [k for k, link in enumerate(arm.links, 1) if link.mass_kg is not None and link.com_m is not None],
             known=lambda series, name, given: next(
                 Law(name, form, (given[form.name],)) for form in series.forms if form.name in given
             ),

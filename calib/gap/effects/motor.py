@@ -20,8 +20,8 @@ from calib.gap.effects.record import (
     by_speed,
     filled,
     secants,
+    shaped,
     straight,
-    with_own,
 )
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.term import Traits, parameters_of, values_of
@@ -51,40 +51,40 @@ def _exponential(values: Values, order: float) -> Torque:
     return lambda angle, speed, load: torque_Nm * np.exp(-np.abs(speed) / scale) * direction(speed, np)
 
 
-def rubbed(around: OperatingPoint, law: Law) -> Response:
+def rubbed(point: OperatingPoint, law: Law) -> Response:
     """Per unit of a friction's values at a motor; behind a soft or loose gear nothing of it is linear, and it is small."""
-    return around.scene.split(around.scene.columns.friction_slope(law)[:, None])
+    return point.scene.split(point.scene.columns.friction_slope(law)[:, None])
 
 
 def friction(sought: Sought) -> Iterator[SeriesTerm]:
     """A friction with one value; every gear has those that the file says nothing of."""
-    around, own, form = sought.around, sought.own, sought.series.form
+    point, identified, form = sought.point, sought.identified, sought.series.form
     law, size = Law(sought.key, form, (1.0,)), sought.size(form)
     is_common = sought.series.is_common and not any(
-        one.form.shared and one.name.joint == sought.key.joint for one in around.known
+        known.form.shared and known.name.joint == sought.key.joint for known in point.known
     )
     term = SeriesTerm(
         sought.key,
         size=size,
         law=lambda c: law.at((float(c[0]) * size,)),
         is_positive=form.lower == NOUGHT or is_common,
-        now=None if own is None else np.array(own.values[:1]) / size,
+        now=None if identified is None else np.array(identified.values[:1]) / size,
         is_common=is_common,
     )
-    yield from filled(sought, term, scaled(rubbed(around, law), size))
+    yield from filled(sought, term, scaled(rubbed(point, law), size))
 
 
 def _stribeck(sought: Sought) -> Iterator[SeriesTerm]:
-    own, size = sought.own, sought.size(sought.series.form)
+    identified, size = sought.identified, sought.size(sought.series.form)
     for form in sought.forms:
-        for speed in STRIBECK_rad_s if own is None else (own.values[1],):
-            here, there = (rubbed(sought.around, Law(sought.key, form, (1.0, own_speed))) for own_speed in (speed, 1.1 * speed))
+        for speed in STRIBECK_rad_s if identified is None else (identified.values[1],):
+            here, there = (rubbed(sought.point, Law(sought.key, form, (1.0, v_rad_s))) for v_rad_s in (speed, 1.1 * speed))
             slope = {cell: 2.0 * (there[cell] - here[cell]) * size for cell in here if cell in there}
-            yield from with_own(sought, form, speed, 0.2, (scaled(here, size), slope))
+            yield from shaped(sought, form, speed, 0.2, (scaled(here, size), slope))
 
 
-def _known_stribeck(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
-    return Law(name, series.form, (given["torque_Nm"], given["speed_rad_s"]))
+def _known_stribeck(series: InSeries, name: EffectName, parameters: Mapping[str, float]) -> Law:
+    return Law(name, series.form, (parameters["torque_Nm"], parameters["speed_rad_s"]))
 
 
 def _fall(name: str, torque: Callable[[Values, float], Torque]) -> Form:
@@ -117,45 +117,45 @@ ORDERS_WEIGHED = 6  # of a joint's cogging: the others stand out less
 
 def _cogging(sought: Sought) -> Iterator[SeriesTerm]:
     """The orders that stand out of what is left, each beside its double; later, the one that was found."""
-    around, own, form = sought.around, sought.own, sought.series.form
+    point, identified, form = sought.point, sought.identified, sought.series.form
     key, size = sought.key, sought.size(form)
     waves: dict[float, Response] = {}
 
     def wave(order: float) -> Response:
         if order not in waves:
-            law, columns = Law(key, form, (0.0, 0.0), order), around.scene.columns
-            slopes = [columns.friction_slope(law.at(own), around.model) for own in ((1.0, 0.0), (0.0, 1.0))]
-            waves[order] = scaled(around.scene.split(np.stack(slopes, axis=1)), size)
+            law, columns = Law(key, form, (0.0, 0.0), order), point.scene.columns
+            slopes = [columns.friction_slope(law.at(phase), point.model) for phase in ((1.0, 0.0), (0.0, 1.0))]
+            waves[order] = scaled(point.scene.split(np.stack(slopes, axis=1)), size)
         return waves[order]
 
-    for order in sorted(_standing_out(around, key)) if own is None else (own.order,):
+    for order in sorted(_standing_out(point, key)) if identified is None else (identified.order,):
 
         def law_of(c: Array, order: float = order) -> Law:
             return Law(key, form, (float(c[0]) * size, float(c[1]) * size), order)
 
-        now = None if own is None else np.array(own.values) / size
+        now = None if identified is None else np.array(identified.values) / size
         term = SeriesTerm(key, size=size, law=law_of, variant=order, now=now)
         yield from filled(sought, term, wave(order), more=wave(2.0 * order))
 
 
-def _standing_out(around: OperatingPoint, key: EffectName) -> list[float]:
+def _standing_out(point: OperatingPoint, key: EffectName) -> list[float]:
     """The orders whose waves take most off what is left of a joint's current, as the filter of its rows lets them through."""
-    scene, j = around.scene, key.joint - 1 if key.joint else 0
+    scene, j = point.scene, key.joint - 1 if key.joint else 0
     number = scene.number("current_A", j)
     if number is None:
         return []
-    at, left = scene.beside[number], around.residual[scene.cells[number].rows]
+    at, residual = scene.beside[number], point.residual[scene.cells[number].rows]
     ratio, filters = scene.rows.physics.gear_ratios[j], scene.recording.filters
     passed = np.abs(np.fft.rfft(filters.row, 2048)) / abs(float(filters.row.sum()))
     frequencies = np.fft.rfftfreq(2048, 1.0 / filters.rate_Hz)
 
-    q = at.q + motor_ahead(sorted_terms(around.model).angles, at.q, at.t_s)
+    q = at.q + motor_ahead(sorted_terms(point.model).angles, at.q, at.t_s)
 
     def taken(order: float) -> float:
         angle = order * ratio * q[:, j]
         through = np.interp(np.abs(order * ratio * at.speed[:, j]) / (2.0 * np.pi), frequencies, passed)
         waves = np.array([np.sin(angle), np.cos(angle)]) * through
-        pull = waves @ left
+        pull = waves @ residual
         return float(pull @ np.linalg.lstsq(waves @ waves.T, pull, rcond=None)[0])
 
     orders = [order for order in ORDERS if order * ratio >= WAVES_LEAST]
@@ -180,7 +180,7 @@ LATE = Traits(alternative="late")  # a command is late, or what is read of it is
 
 
 def _sampling(sought: Sought) -> Iterator[SeriesTerm]:
-    period_s = 1.0 / sought.around.scene.recording.filters.rate_Hz
+    period_s = 1.0 / sought.point.scene.recording.filters.rate_Hz
     return secants(sought, Bent(tuple(share * period_s for share in READ_SHARES), most=period_s))
 
 

@@ -165,9 +165,9 @@ def in_poses(record: EffectRecord) -> InPoses:
 
 @dataclass(frozen=True, slots=True)
 class Sought:
-    """An effect on one joint or link as time series look for it: around a model, which may have it already (`own`)."""
+    """An effect on one joint or link as time series look for it: around a model, which may have it already (`identified`)."""
 
-    around: OperatingPoint
+    point: OperatingPoint
     record: EffectRecord
     key: EffectName
 
@@ -179,18 +179,18 @@ class Sought:
         return self.record.series
 
     @property
-    def own(self) -> Law | None:
+    def identified(self) -> Law | None:
         """The law as it was found before."""
-        return self.around.found.get(self.key)
+        return self.point.found.get(self.key)
 
     @property
     def forms(self) -> tuple[Form, ...]:
         """Those that are open: all of them, or that of the law that was found."""
-        return self.series.forms if self.own is None else (self.own.form,)
+        return self.series.forms if self.identified is None else (self.identified.form,)
 
     def size(self, form: Form) -> float:
         """The usual size of a law on its joint or link."""
-        return self.series.usual * typical(self.around.scene.given_Nm, form, (self.key.joint or 0) - 1)
+        return self.series.usual * typical(self.point.scene.given_Nm, form, (self.key.joint or 0) - 1)
 
 
 def harmonics(angle: Array, *orders: int) -> list[Array]:
@@ -254,14 +254,14 @@ def departures(scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Res
     parts, alike, largest = [], np.zeros((0, 1, 1)), 0.0
     channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
     for channel in channels:
-        own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
-        wanted = {cell: [one(scene.beside[cell], joint) for one in shapes] for cell in own}
-        bent, taken = departed(own, {cell: np.concatenate(some) for cell, some in wanted.items()})
+        of_channel = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
+        wanted = {cell: [shape(scene.beside[cell], joint) for shape in shapes] for cell in of_channel}
+        bent, projection = departed(of_channel, {cell: np.concatenate(columns) for cell, columns in wanted.items()})
         if bent:
             parts.append(bent)
-        if (size := float(np.linalg.norm(size_of(own)))) > largest:
-            counts = [len(some) for some in next(iter(wanted.values()))]
-            alike, largest = taken / np.sqrt(np.repeat(counts, counts))[:, None, None], size
+        if (size := float(np.linalg.norm(size_of(of_channel)))) > largest:
+            counts = [len(columns) for columns in next(iter(wanted.values()))]
+            alike, largest = projection / np.sqrt(np.repeat(counts, counts))[:, None, None], size
     return (stacked(parts) if parts else {}), alike
 
 
@@ -280,9 +280,9 @@ def filled(
     if not laws:
         return
     series, joint = sought.series, (followed_joint(sought.key.effect, sought.key.joint) or 1) - 1
-    bent, alike = departures(sought.around.scene, series.departs, joint, laws)
-    departs = [own for own in (bent, more or {}) if own]
-    count, bends = (sum(next(iter(own.values())).shape[1] for own in some) for some in ([laws], departs))
+    bent, alike = departures(sought.point.scene, series.departs, joint, laws)
+    departs = [response for response in (bent, more or {}) if response]
+    count, bends = (sum(next(iter(response.values())).shape[1] for response in responses) for responses in ([laws], departs))
     now = term.now if term.now is None else np.insert(term.now, count, np.zeros(bends))
     yield dataclasses.replace(
         term,
@@ -298,26 +298,26 @@ def filled(
     )
 
 
-def unlisted(one: SeriesTerm) -> SeriesTerm:
+def unlisted(term: SeriesTerm) -> SeriesTerm:
     """What is off the list is still in the world: the law as a block of its own."""
-    key = one.key
+    key = term.key
     joint, effect = (key.joint or 0, key.effect) if isinstance(key, EffectName) else (key.joint, key.variable)
-    words = f"{one.words} (left out of the list)"
-    return dataclasses.replace(one, key=Block(joint, effect), words=words, law=None)
+    words = f"{term.words} (left out of the list)"
+    return dataclasses.replace(term, key=Block(joint, effect), words=words, law=None)
 
 
-def known_law(record: EffectRecord, name: EffectName, given: Mapping[str, float]) -> Law | None:
+def known_law(record: EffectRecord, name: EffectName, parameters: Mapping[str, float]) -> Law | None:
     """The law of an `[[effect]]`; None for one that time series do not show."""
     series = record.series
     if series is None:
         return None
     if series.known is not None:
-        return series.known(series, name, given)
-    values = linear_values(name.effect, given)
+        return series.known(series, name, parameters)
+    values = linear_values(name.effect, parameters)
     if not values:
         return None
     nought = (0.0,) * (series.form.count - len(values))
-    return Law(name, series.form, (*values, *nought), given.get("order", 0.0))
+    return Law(name, series.form, (*values, *nought), parameters.get("order", 0.0))
 
 
 def straight(sought: Sought) -> Iterator[SeriesTerm]:
@@ -327,27 +327,27 @@ def straight(sought: Sought) -> Iterator[SeriesTerm]:
 
 
 def _straight(sought: Sought, form: Form) -> Iterator[SeriesTerm]:
-    around, key, own, size = sought.around, sought.key, sought.own, sought.size(form)
-    count = form.count or 4 * len(around.scene.arm.links)
+    point, key, identified, size = sought.point, sought.key, sought.identified, sought.size(form)
+    count = form.count or 4 * len(point.scene.arm.links)
     law = Law(key, form, (0.0,) * count)
-    base, at = around.without(key)
-    start = law.values if own is None else own.values
+    base, at = point.without(key)
+    start = law.values if identified is None else identified.values
     if count == 1 and start[0]:  # a secant from nought to what was found
         moved, steps = [law.at((start[0],))], [start[0]]
     else:
         steps = [0.3 * size] * count
         moved = [law.at((*law.values[:k], step, *law.values[k + 1 :])) for k, step in enumerate(steps)]
-    columns = [(around.scene.columns.residual((*base, there)) - at) / step for there, step in zip(moved, steps, strict=True)]
-    least = sought.series.least(around.scene.arm, law)
+    columns = [(point.scene.columns.residual((*base, there)) - at) / step for there, step in zip(moved, steps, strict=True)]
+    least = sought.series.least(point.scene.arm, law)
     term = SeriesTerm(
         key,
         size=size,
         law=lambda c: law.at(tuple((c[:count] * size).tolist())),
         is_positive=math.isfinite(least),
         least=max(least, -1e6) / size,
-        now=None if own is None else np.array(start) / size,
+        now=None if identified is None else np.array(start) / size,
     )
-    yield from filled(sought, term, scaled(around.scene.split(np.stack(columns, axis=1)), size))
+    yield from filled(sought, term, scaled(point.scene.split(np.stack(columns, axis=1)), size))
 
 
 FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
@@ -378,25 +378,25 @@ def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
     These are counted from what the others are like before any data, wherever the model of this linearisation has them: else each
     linearisation would add as much again to what is known of them.
     """
-    around, own, form = sought.around, sought.own, sought.series.form
-    rows, (base, at) = around.scene.columns, around.without(sought.key)
-    first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
-    others = bent.others if own is None else own.values[1:]
+    point, identified, form = sought.point, sought.identified, sought.series.form
+    rows, (base, at) = point.scene.columns, point.without(sought.key)
+    first = bent.starts if identified is None else tuple(identified.values[0] * k for k in FINER)
+    others = bent.others if identified is None else identified.values[1:]
     steps = tuple(
         step if value + step <= upper else -step for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
     )
     asked = [_stepped((v, *others), steps) for v in first]
     law, size = Law(sought.key, form, asked[0][0]), sought.size(form)
     if form.is_gear:
-        rows.physics.following.foresee(base, [law.at(values) for some in asked for values in some])
-    moved = [[rows.residual((*base, law.at(values))) for values in some] for some in asked]
-    secants = [(some[0] - at) * (size / v) for some, v in zip(moved, first, strict=True)]
-    for k, value in enumerate(first if own is None else first[:1]):
+        rows.physics.following.foresee(base, [law.at(values) for group in asked for values in group])
+    moved = [[rows.residual((*base, law.at(values))) for values in group] for group in asked]
+    secants = [(rows_of[0] - at) * (size / v) for rows_of, v in zip(moved, first, strict=True)]
+    for k, value in enumerate(first if identified is None else first[:1]):
         near = k + 1 if k + 1 < len(first) else k - 1
         bends = secants[near] - secants[k]
-        columns = [secants[k], bends * value / size, *(one - moved[k][0] for one in moved[k][1:])]
-        parts = [around.scene.split(column[:, None]) for column in columns]
-        parts[1:] = [one or scaled(parts[0], 0.0) for one in parts[1:]]
+        columns = [secants[k], bends * value / size, *(stepped - moved[k][0] for stepped in moved[k][1:])]
+        parts = [point.scene.split(column[:, None]) for column in columns]
+        parts[1:] = [part or scaled(parts[0], 0.0) for part in parts[1:]]
         reach = SPEAKS_FOR[0] * value, min(SPEAKS_FOR[1] * value, bent.most)
 
         def law_of(c: Array, reach: tuple[float, float] = reach) -> Law:
@@ -404,7 +404,7 @@ def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
             return law.at((float(np.clip(c[0] * size, *reach)), *np.clip(more, 0.0, bent.upper).tolist()))
 
         now = None
-        if own is not None and math.isclose(own.values[0], value):
+        if identified is not None and math.isclose(identified.values[0], value):
             now = np.array([value / size, 0.0, *((np.array(others) - bent.others) / steps)])
         term = SeriesTerm(
             sought.key,
@@ -419,19 +419,19 @@ def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
         yield from filled(sought, term, parts[0], parts[1:], towards=(value, first[near]))
 
 
-def with_own(sought: Sought, form: Form, value: float, within: float, columns: tuple[Response, Response]) -> Iterator[SeriesTerm]:
+def shaped(sought: Sought, form: Form, value: float, within: float, columns: tuple[Response, Response]) -> Iterator[SeriesTerm]:
     """A law of a size and one other value, from its response there and how that changes as this value grows by a share `within`.
 
     The share is followed between 0.6 and 1.6 of the value.
     """
-    key, own, size, is_positive = sought.key, sought.own, sought.size(form), form.lower[0] == 0.0
+    key, identified, size, is_positive = sought.key, sought.identified, sought.size(form), form.lower[0] == 0.0
 
     def law_of(c: Array) -> Law:
         own_size = max(float(c[0]), 0.0) if is_positive else float(c[0])
         share = within * float(c[-1]) / own_size if own_size else 0.0
         return Law(key, form, (float(c[0]) * size, value * float(np.clip(1.0 + share, 0.6, 1.6))))
 
-    is_there = own is not None and abs(value / own.values[1] - 1.0) < 1e-9
-    now = np.array([own.values[0] / size]) if own is not None and is_there else None
+    is_there = identified is not None and abs(value / identified.values[1] - 1.0) < 1e-9
+    now = np.array([identified.values[0] / size]) if identified is not None and is_there else None
     term = SeriesTerm(key, size=size, law=law_of, variant=value, is_positive=is_positive, now=now)
     yield from filled(sought, term, columns[0], [columns[1]])

@@ -66,8 +66,8 @@ class Candidate:
 
     def columns(self, x: Array, direction: Array) -> sparse.csr_array:
         """What the spline of each node does at places x (m,) and directions (m,), (m, count)."""
-        found = spline_columns(self.count, self.lower, self.upper, self.is_periodic, x)
-        return sparse.csr_array(sparse.diags_array(direction) @ found) if self.is_directed else found
+        splines = spline_columns(self.count, self.lower, self.upper, self.is_periodic, x)
+        return sparse.csr_array(sparse.diags_array(direction) @ splines) if self.is_directed else splines
 
     def precision(self, bend: float) -> Array:
         """Inverse of the prior covariance of the splines' coefficients over the usual size squared, (count, count)."""
@@ -83,23 +83,23 @@ def over_angle(joint: int, corrects: Corrects, q_rad: Array) -> tuple[Candidate,
     """Tables over a joint's angle."""
     lower, upper = _range(q_rad)
     count = min(max(math.ceil((upper - lower) / NODE_rad) + 1, NODES_LEAST), NODES_MOST)
-    one = Candidate(joint, corrects, "angle_rad", count, lower, upper)
-    return _both(one) if upper - lower > NODE_rad else ()
+    candidate = Candidate(joint, corrects, "angle_rad", count, lower, upper)
+    return _both(candidate) if upper - lower > NODE_rad else ()
 
 
 def over_load(joint: int, corrects: Corrects, load_Nm: Array, least_Nm: float = 0.0) -> tuple[Candidate, ...]:
     """Tables over what a joint transmits; none where that changes by no more than `least_Nm`."""
     lower, upper = _range(load_Nm)
     is_varied = upper - lower > max(least_Nm, LOAD_LEAST * max(abs(lower), abs(upper)))
-    one = Candidate(joint, corrects, "load_Nm", NODES_OF_LOAD, lower, upper)
-    return _both(one) if is_varied else ()
+    candidate = Candidate(joint, corrects, "load_Nm", NODES_OF_LOAD, lower, upper)
+    return _both(candidate) if is_varied else ()
 
 
 def over_speed(joint: int, speed_rad_s: Array) -> tuple[Candidate, ...]:
     """A table over the joint's speed, both signs."""
     lower, upper = _range(speed_rad_s)
-    one = Candidate(joint, "torque_Nm", "speed_rad_s", NODES_OF_SPEED, lower, upper)
-    return (one,) if lower < upper else ()
+    candidate = Candidate(joint, "torque_Nm", "speed_rad_s", NODES_OF_SPEED, lower, upper)
+    return (candidate,) if lower < upper else ()
 
 
 def over_turn(joint: int, travel_rad: float) -> tuple[Candidate, ...]:
@@ -115,26 +115,26 @@ def _range(values: Array) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def _both(one: Candidate) -> tuple[Candidate, ...]:
+def _both(candidate: Candidate) -> tuple[Candidate, ...]:
     """The same both ways, and with the direction."""
-    return one, replace(one, is_directed=True)
+    return candidate, replace(candidate, is_directed=True)
 
 
 def maps_of(parts: list[tuple[Candidate, Array]]) -> tuple[CorrectionMap, ...]:
     """Candidates with the coefficients of their splines as maps; both parts of one table become one."""
     tables: dict[tuple[int, Over], dict[bool, Array]] = {}
     first: dict[tuple[int, Over], Candidate] = {}
-    for one, coefficients in parts:
-        where = one.joint, one.over
-        tables.setdefault(where, {})[one.is_directed] = node_values(coefficients, one.is_periodic)
-        first.setdefault(where, one)
-    found = []
+    for part, coefficients in parts:
+        where = part.joint, part.over
+        tables.setdefault(where, {})[part.is_directed] = node_values(coefficients, part.is_periodic)
+        first.setdefault(where, part)
+    maps = []
     for where, table in tables.items():
-        one = first[where]
+        part = first[where]
         plain, directed = (tuple(table[way].tolist()) if way in table else () for way in (False, True))
-        plain = plain or (0.0,) * one.count
-        found.append(CorrectionMap(one.joint, one.corrects, one.over, plain, one.lower, one.upper, directed))
-    return tuple(found)
+        plain = plain or (0.0,) * part.count
+        maps.append(CorrectionMap(part.joint, part.corrects, part.over, plain, part.lower, part.upper, directed))
+    return tuple(maps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class MapsFound:
     @property
     def maps(self) -> tuple[CorrectionMap, ...]:
         """As arm.toml has them."""
-        return tuple(one.map for one in self.drawn)
+        return tuple(drawn.map for drawn in self.drawn)
 
     def __add__(self, other: MapsFound) -> MapsFound:
         """Both."""
@@ -215,17 +215,17 @@ def chosen(measured: MapRows) -> Chosen | None:
             break
         _, number, bend = min(tried)
         more = [*members, (number, bend)]
-        before, after = (folded.foretold_rows(some) for some in (members, more))
+        before, after = (folded.foretold_rows(tables) for tables in (members, more))
         if not helps(before, after, measured.pieces[folded.decides], SURE_sd):
             break
         members = more
     if not members:
         return None
-    before, (base, _) = folded.left([]), folded.fitted(members)
-    after, (base, values) = folded.left(members), folded.fitted(members)
-    found = Chosen(tuple(number for number, _ in members), values, base, before, after)
+    before, (base, _) = folded.residual([]), folded.fitted(members)
+    after, (base, values) = folded.residual(members), folded.fitted(members)
+    choice = Chosen(tuple(number for number, _ in members), values, base, before, after)
     rows = measured.reports
-    return found if helps(before[rows], after[rows], measured.pieces[rows], CHECKED_sd) else None
+    return choice if helps(before[rows], after[rows], measured.pieces[rows], CHECKED_sd) else None
 
 
 def helps(before: Array, after: Array, pieces: Places, sure_sd: float) -> bool:
@@ -248,28 +248,26 @@ class _Folded:
         self.measured = measured
         counts = [measured.base.shape[1], *(table.shape[1] for table in measured.tables)]
         self._ends = np.cumsum(counts)
-        self._folds = folds = [one for one in np.unique(measured.folds).tolist() if one >= 0]
+        self._folds = folds = [fold for fold in np.unique(measured.folds).tolist() if fold >= 0]
         self.is_possible = len(folds) > 1 and bool(measured.reports.any())
         self._columns = np.hstack([measured.base, *measured.tables, measured.y[:, None]])
-        parts = [self._columns[measured.folds == one] for one in folds]
+        parts = [self._columns[measured.folds == fold] for fold in folds]
         self._grams = [part.T @ part for part in parts]
         self._whole = np.sum(self._grams, axis=0)
 
     def free(self, members: Sequence[tuple[int, float]]) -> list[int]:
         """Candidates that may still come in: a motor's turn has one table."""
-        taken = {self.measured.candidates[number] for number, _ in members}
-        places = {(one.joint, one.over, one.is_directed) for one in taken}
-        return [
-            number for number, one in enumerate(self.measured.candidates) if (one.joint, one.over, one.is_directed) not in places
-        ]
+        present = {self.measured.candidates[number] for number, _ in members}
+        places = {(part.joint, part.over, part.is_directed) for part in present}
+        return [k for k, part in enumerate(self.measured.candidates) if (part.joint, part.over, part.is_directed) not in places]
 
     def foretold(self, members: Sequence[tuple[int, float]]) -> float:
         """Sum of squares that each fold leaves with what the others give."""
         at, precision = self._at(members)
         total = 0.0
-        for own in self._grams:
-            size = self._solved(self._whole - own, at, precision)
-            total += float(own[-1, -1] - 2.0 * size @ own[at, -1] + size @ own[np.ix_(at, at)] @ size)
+        for gram in self._grams:
+            size = self._solved(self._whole - gram, at, precision)
+            total += float(gram[-1, -1] - 2.0 * size @ gram[at, -1] + size @ gram[np.ix_(at, at)] @ size)
         return total
 
     @property
@@ -280,12 +278,12 @@ class _Folded:
     def foretold_rows(self, members: Sequence[tuple[int, float]]) -> Array:
         """What each fold leaves with what the others give, the rows that decide."""
         at, precision = self._at(members)
-        left = np.zeros(len(self.measured.y))
-        for fold, own in zip(self._folds, self._grams, strict=True):
+        residual = np.zeros(len(self.measured.y))
+        for fold, gram in zip(self._folds, self._grams, strict=True):
             rows = self.measured.folds == fold
-            size = self._solved(self._whole - own, at, precision)
-            left[rows] = self.measured.y[rows] - self._columns[np.ix_(rows, at)] @ size
-        return left[self.decides]
+            size = self._solved(self._whole - gram, at, precision)
+            residual[rows] = self.measured.y[rows] - self._columns[np.ix_(rows, at)] @ size
+        return residual[self.decides]
 
     def fitted(self, members: Sequence[tuple[int, float]]) -> tuple[Array, tuple[Array, ...]]:
         """The base's values and those of the tables, from all rows that do not report."""
@@ -296,7 +294,7 @@ class _Folded:
         values = tuple(size[a:b] for a, b in itertools.pairwise(ends))
         return size[:first], values
 
-    def left(self, members: Sequence[tuple[int, float]]) -> Array:
+    def residual(self, members: Sequence[tuple[int, float]]) -> Array:
         """All rows without what a set explains, (r,)."""
         at, precision = self._at(members)
         return np.asarray(self.measured.y - self._columns[:, at] @ self._solved(self._whole, at, precision))
@@ -338,15 +336,15 @@ def angle_maps(arm: Arm, gap: StaticGap) -> tuple[Arm, MapsFound]:
     problem = problem_of(arm, gap.points)
     x = minimise(problem.of_rows(gap.split.known), LeastSquares(), 1).x
     there = _Poses(gap.points, load_of(arm, gap.points, problem.observed.q_rad), by_joints(Fit(problem, x, None))[0])
-    measured = _measured(problem, x, gap, there, {(one.joint, one.over) for one in arm.maps})
-    found = chosen(measured)
-    if found is None:
+    measured = _measured(problem, x, gap, there, {(correction.joint, correction.over) for correction in arm.maps})
+    choice = chosen(measured)
+    if choice is None:
         return arm, MapsFound((), (), (NONE,))
-    solution = problem.solution(x + found.base)
-    parts = [(measured.candidates[k], USUAL_rad * own) for k, own in zip(found.numbers, found.values, strict=True)]
+    solution = problem.solution(x + choice.base)
+    parts = [(measured.candidates[k], USUAL_rad * values) for k, values in zip(choice.numbers, choice.values, strict=True)]
     maps = maps_of(parts)
-    before, after = (gap.floor.tip_m * rms(own[measured.reports]) for own in (found.before, found.after))
-    drawn = tuple(there.drawn(one, gap.floor.tip_m * found.after.reshape(-1, 3)) for one in maps)
+    before, after = (gap.floor.tip_m * rms(residual[measured.reports]) for residual in (choice.before, choice.after))
+    drawn = tuple(there.drawn(correction, gap.floor.tip_m * choice.after.reshape(-1, 3)) for correction in maps)
     framed = with_base_frame(arm.with_dh(solution.dh), solution.frames[0])
     written = dataclasses.replace(framed, maps=(*arm.maps, *maps))
     return written, MapsFound(drawn, (MapCheck("tip_m", None, before, after),))
@@ -370,24 +368,24 @@ class _Poses:
         """Of the joint's last motion, (m,)."""
         return np.asarray(self.points.direction[:, joint - 1])
 
-    def drawn(self, one: CorrectionMap, left_m: Array) -> DrawnMap:
+    def drawn(self, correction: CorrectionMap, left_m: Array) -> DrawnMap:
         """A map over its own variable, beside what it and the tips' residuals (m, 3) say of the joint."""
-        at = self.place(one.joint, one.over)
-        table = along(one, at, self.direction(one.joint))
-        own = along_joint(self.by_joint[:, :, one.joint - 1], left_m)
-        return DrawnMap(one, at, table + own, table)
+        at = self.place(correction.joint, correction.over)
+        table = along(correction, at, self.direction(correction.joint))
+        residual_rad = along_joint(self.by_joint[:, :, correction.joint - 1], left_m)
+        return DrawnMap(correction, at, table + residual_rad, table)
 
 
-def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, taken: Set[tuple[int, str]]) -> MapRows:
+def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, mapped: Set[tuple[int, str]]) -> MapRows:
     residual, jacobian = problem.residuals_and_jacobian(x)
     rows, noise = 3 * len(gap.points), gap.floor.tip_m
-    candidates = tuple(one for one in _candidates(there) if (one.joint, one.over) not in taken)
+    candidates = tuple(candidate for candidate in _candidates(there) if (candidate.joint, candidate.over) not in mapped)
     tables = []
-    for one in candidates:
-        columns = one.columns(there.place(one.joint, one.over), there.direction(one.joint)).toarray()
-        moved = there.by_joint[:, :, one.joint - 1, None] * columns[:, None, :]
+    for candidate in candidates:
+        columns = candidate.columns(there.place(candidate.joint, candidate.over), there.direction(candidate.joint)).toarray()
+        moved = there.by_joint[:, :, candidate.joint - 1, None] * columns[:, None, :]
         tables.append(moved.reshape(rows, -1) * (USUAL_rad / noise))
-    precision = np.array([1.0 if one.has_bound else FREE_PRECISION for one in problem.parameters])
+    precision = np.array([1.0 if parameter.has_bound else FREE_PRECISION for parameter in problem.parameters])
     return MapRows(
         residual.ravel() / noise,
         -jacobian.reshape(rows, -1) / noise,
@@ -400,16 +398,16 @@ def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, take
 
 
 def _candidates(there: _Poses) -> tuple[Candidate, ...]:
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     heaviest_Nm = 0.0 if there.load_Nm is None else float(np.ptp(there.load_Nm, axis=0).max())
     for joint in range(1, there.points.joint_count + 1):
-        own = over_angle(joint, "angle_rad", there.place(joint, "angle_rad"))
+        of_joint = over_angle(joint, "angle_rad", there.place(joint, "angle_rad"))
         if there.load_Nm is not None:
             load = there.place(joint, "load_Nm")
-            own += over_load(joint, "angle_rad", load, LIGHT * heaviest_Nm)
+            of_joint += over_load(joint, "angle_rad", load, LIGHT * heaviest_Nm)
         both_ways = {-1.0, 1.0} <= set(there.direction(joint).tolist())
-        found += [one for one in own if both_ways or not one.is_directed]
-    return tuple(found)
+        candidates += [candidate for candidate in of_joint if both_ways or not candidate.is_directed]
+    return tuple(candidates)
 
 
 def _folds(gap: StaticGap) -> Places:

@@ -51,18 +51,18 @@ def torque_maps(arm: Arm, outcome: DynamicOutcome) -> tuple[Arm, MapsFound]:
     """The arm with maps of its joints' torques, where these help runs that were held out, and what they do."""
     if not outcome.physics.recording.has_current:
         return arm, MapsFound((), (), ("a map of torques needs motor currents: none is written",))
-    found = MapsFound((), ())
+    maps = MapsFound((), ())
     driven = {drive.joint for drive in arm.drives}
     for joint in range(1, arm.joint_count + 1):
         signals = Signals.of(outcome, joint)
         first = _looked(signals, signals.slow(), is_fast=False)
-        found += first
+        maps += first
         if joint in driven:
             rest = signals.without(first.maps)
-            found += _looked(rest, rest.fast(), is_fast=True)
-    if not found.drawn:
+            maps += _looked(rest, rest.fast(), is_fast=True)
+    if not maps.drawn:
         return arm, MapsFound((), (), (NONE,))
-    return dataclasses.replace(arm, maps=(*arm.maps, *found.maps)), found
+    return dataclasses.replace(arm, maps=(*arm.maps, *maps.maps)), maps
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,27 +92,27 @@ class Signals:
         parts = sorted_terms(outcome.model)
         rotor, row = float(physics.body.rotor_kg_m2[j]), filters.row
         load = [
-            np.convolve(own[:, j] + rotor * one.acceleration[:, j], row, mode="same")
-            for own, one in zip(physics.body.link_torques(parts.load), runs, strict=True)
+            np.convolve(link_Nm[:, j] + rotor * run.acceleration[:, j], row, mode="same")
+            for link_Nm, run in zip(physics.body.link_torques(parts.load), runs, strict=True)
         ]
         torque_per_A = float(physics.torque_per_A[j] * physics.scales(parts)[j])
-        left = [-torque_per_A * one.current_A[:, j] for one in physics.predict(outcome.model)]
+        residual_Nm = [-torque_per_A * prediction.current_A[:, j] for prediction in physics.predict(outcome.model)]
         return cls(
             outcome,
             joint,
-            np.repeat(np.arange(len(runs)), [len(one) for one in runs]),
-            np.concatenate([np.arange(len(one)) for one in runs]),
+            np.repeat(np.arange(len(runs)), [len(run) for run in runs]),
+            np.concatenate([np.arange(len(run)) for run in runs]),
             _joined(runs, "usable", j) > 0,
             _joined(runs, "q", j),
             physics.gear_ratios[j] * _joined(runs, "q_raw", j),
             _joined(runs, "speed", j),
             np.concatenate(load),
-            np.concatenate(left),
+            np.concatenate(residual_Nm),
         )
 
     def without(self, maps: tuple[CorrectionMap, ...]) -> Signals:
         """The same beside maps."""
-        added = sum((self.table(one) for one in maps), np.zeros(len(self.run)))
+        added = sum((self.table(correction) for correction in maps), np.zeros(len(self.run)))
         return dataclasses.replace(self, left_Nm=self.left_Nm - added)
 
     def over(self, variable: Over) -> Array:
@@ -127,9 +127,9 @@ class Signals:
             case _:
                 return self.q_rad
 
-    def table(self, one: CorrectionMap) -> Array:
+    def table(self, correction: CorrectionMap) -> Array:
         """What a map says at every sample."""
-        return along(one, self.over(one.over), direction(self.speed_rad_s, np))
+        return along(correction, self.over(correction.over), direction(self.speed_rad_s, np))
 
     def slow(self) -> Band:
         """Rows of the decision: already filtered samples, filtered once more."""
@@ -175,15 +175,15 @@ def _looked(signals: Signals, band: Band, is_fast: bool) -> MapsFound:
     if not usual > 0.0 or not candidates:
         return nothing
     way = direction(signals.speed_rad_s, np)
-    tables = tuple((band.mix @ one.columns(signals.over(one.over), way)).toarray() for one in candidates)
+    tables = tuple((band.mix @ candidate.columns(signals.over(candidate.over), way)).toarray() for candidate in candidates)
     none = np.zeros((len(band.at), 0))
     folds, pieces = _divided(signals, band)
-    found = chosen(MapRows(band.left_Nm / usual, none, np.zeros(0), candidates, tables, folds, pieces))
-    if found is None:
+    choice = chosen(MapRows(band.left_Nm / usual, none, np.zeros(0), candidates, tables, folds, pieces))
+    if choice is None:
         return nothing
-    maps = maps_of([(candidates[k], usual * own) for k, own in zip(found.numbers, found.values, strict=True)])
-    before, after = (usual * rms(own[folds == -1]) for own in (found.before, found.after))
-    drawn = tuple(_drawn(signals, band, one, usual * found.after) for one in maps)
+    maps = maps_of([(candidates[k], usual * values) for k, values in zip(choice.numbers, choice.values, strict=True)])
+    before, after = (usual * rms(residual[folds == -1]) for residual in (choice.before, choice.after))
+    drawn = tuple(_drawn(signals, band, correction, usual * choice.after) for correction in maps)
     return MapsFound(drawn, (MapCheck("torque_Nm", signals.joint, before, after),))
 
 
@@ -208,19 +208,19 @@ def _divided(signals: Signals, band: Band) -> tuple[Places, Places]:
     runs, run, place = signals.outcome.physics.recording.runs, signals.run[band.at], signals.place[band.at]
     rate_Hz = signals.outcome.physics.recording.filters.rate_Hz
     names = signals.outcome.split.report_runs
-    reports = np.isin(run, [k for k, one in enumerate(runs) if one.name in names])
+    reports = np.isin(run, [k for k, run in enumerate(runs) if run.name in names])
     if len(runs) == 1:
         reports = place >= REPORTS_FROM * len(runs[0])
-    own = place // max(1, round(PIECE_s * rate_Hz))
-    pieces = own + (int(own.max()) + 1) * run
+    pieces_of_run = place // max(1, round(PIECE_s * rate_Hz))
+    pieces = pieces_of_run + (int(pieces_of_run.max()) + 1) * run
     return np.where(reports, -1, pieces // PIECES % FOLDS).astype(np.intp), pieces
 
 
-def _drawn(signals: Signals, band: Band, one: CorrectionMap, left_Nm: Array) -> DrawnMap:
-    table, at = signals.table(one), signals.over(one.over)[band.at]
+def _drawn(signals: Signals, band: Band, correction: CorrectionMap, left_Nm: Array) -> DrawnMap:
+    table, at = signals.table(correction), signals.over(correction.over)[band.at]
     data = band.mix @ table + left_Nm
-    return DrawnMap(one, np.mod(at, math.tau) if one.is_periodic else at, data, table[band.at])
+    return DrawnMap(correction, np.mod(at, math.tau) if correction.is_periodic else at, data, table[band.at])
 
 
 def _joined(runs: tuple[EvenRun, ...], key: str, j: int) -> Array:
-    return np.concatenate([getattr(one, key)[:, j] for one in runs])
+    return np.concatenate([getattr(run, key)[:, j] for run in runs])

@@ -118,9 +118,9 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     sentences.append(f"Collision-free box: {ranges} deg; a few poses outside it are reached from its middle.")
     could = foreseen(arm, plan)
     if could:
-        yes = [str(one.name) for one in could if one.is_nameable]
+        yes = [str(entry.name) for entry in could if entry.is_nameable]
         sentences.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
-        sentences += [f"They could not name {one.name}: {_why(one, payload_kg)}." for one in could if not one.is_nameable]
+        sentences += [f"They could not name {entry.name}: {_why(entry, payload_kg)}." for entry in could if not entry.is_nameable]
     kinds = dict.fromkeys(run.kind for run in plan.runs)
     if kinds:
         sentences += of_boards(arm)
@@ -130,10 +130,10 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     return tuple(sentences)
 
 
-def _why(one: Nameable, payload_kg: float) -> str:
-    if one.confusable_with:
-        return f"it is indistinguishable from {', '.join(map(str, one.confusable_with))}"
-    more = "" if payload_kg else "; a --payload would help" if one.name.effect == "joint_compliance" else ""
-    if one.name.effect == "thermal_drift":
+def _why(entry: Nameable, payload_kg: float) -> str:
+    if entry.confusable_with:
+        return f"it is indistinguishable from {', '.join(map(str, entry.confusable_with))}"
+    more = "" if payload_kg else "; a --payload would help" if entry.name.effect == "joint_compliance" else ""
+    if entry.name.effect == "thermal_drift":
         more = "; a longer session (--minutes) would help"
-    return f"its detectability is only {one.detectability:.1f} standard deviations{more}"
+    return f"its detectability is only {entry.detectability:.1f} standard deviations{more}"

@@ -78,19 +78,19 @@ def collision_free_box(arm: Arm, clearance_m: float = CLEARANCE_m) -> CollisionF
     pull_Nm = _gravity_Nm(arm, poses)
     cut = CUT * (upper - lower)
     draw = np.random.default_rng(0)
-    found: tuple[float, CollisionFreeBox] | None = None
+    best: tuple[float, CollisionFreeBox] | None = None
     for start in range(STARTS):
         ends = draw.uniform(0.0, 0.4 if start else 0.0, (2, len(lower))) * (upper - lower)
         room = _grown_down(poses, is_clear, CollisionFreeBox(lower + ends[0], upper - ends[1]), cut)
         worth = -np.inf if room is None else _worth(room, poses, pull_Nm)
-        if room is not None and (found is None or worth > found[0]):
-            found = (worth, room)
-    if found is None:
+        if room is not None and (best is None or worth > best[0]):
+            best = (worth, room)
+    if best is None:
         raise CalibrationError(
             f"arm {arm.name}: no collision-free box of joint angles: expected {LEAST_rad:g} rad or more for each joint,"
             f" {1e3 * clearance_m:g} mm clear of floor and board"
         )
-    return found[1]
+    return best[1]
 
 
 def _worth(room: CollisionFreeBox, poses: Array, pull_Nm: Array | None) -> float:

@@ -67,10 +67,10 @@ class NamedPose:
 def static_poses(arm: Arm, room: CollisionFreeBox, extent: PlanExtent) -> tuple[NamedPose, ...]:
     """All poses; the approach to each stays inside the joints' ranges and clear."""
     inner = room.inset(APPROACH_rad)
-    found = _alone(inner, extent.levels)
-    found += [("s", q) for q in spread_poses((inner.lower_rad, inner.upper_rad), extent.spread, edge_share=0.3)]
-    found += [("g", q) for q in _pulled(arm, inner, extent.pulled)]
-    numbered = [NamedPose(f"{kind}{k + 1}", _plain(q)) for k, (kind, q) in enumerate(found)]
+    by_kind = _alone(inner, extent.levels)
+    by_kind += [("s", q) for q in spread_poses((inner.lower_rad, inner.upper_rad), extent.spread, edge_share=0.3)]
+    by_kind += [("g", q) for q in _pulled(arm, inner, extent.pulled)]
+    numbered = [NamedPose(f"{kind}{k + 1}", _plain(q)) for k, (kind, q) in enumerate(by_kind)]
     via = _plain(room.middle_rad)
     outside = _outside(arm, room, extent.outside)
     return (*numbered, *(NamedPose(f"o{k + 1}", _plain(q), via) for k, q in enumerate(outside)))
@@ -78,13 +78,13 @@ def static_poses(arm: Arm, room: CollisionFreeBox, extent: PlanExtent) -> tuple[
 
 def _alone(inner: CollisionFreeBox, levels: int) -> list[tuple[str, Array]]:
     """Each joint through its travel while the others stand in the middle: also joint 2 while motor 3 stands."""
-    found = []
+    poses = []
     for j in range(len(inner.lower_rad)):
         for share in np.linspace(0.0, 1.0, levels):
             q = inner.middle_rad.copy()
             q[j] = inner.lower_rad[j] + share * inner.width_rad[j]
-            found.append(("a", q))
-    return found
+            poses.append(("a", q))
+    return poses
 
 
 def _pulled(arm: Arm, inner: CollisionFreeBox, count: int) -> list[Array]:
@@ -94,12 +94,12 @@ def _pulled(arm: Arm, inner: CollisionFreeBox, count: int) -> list[Array]:
         pull = gravity_Nm(arm, poses)
     except MissingModel:
         return []
-    found = []
+    chosen = []
     for j in range(poses.shape[1]):
         rarer = -1.0 if (pull[:, j] > 0.0).mean() > 0.5 else 1.0
         strongest = np.argsort(-rarer * pull[:, j])
-        found += [poses[k] for k in strongest[:count] if rarer * pull[k, j] > 0.02]
-    return found
+        chosen += [poses[k] for k in strongest[:count] if rarer * pull[k, j] > 0.02]
+    return chosen
 
 
 def _outside(arm: Arm, room: CollisionFreeBox, count: int) -> list[Array]:
@@ -127,12 +127,12 @@ def _far_apart(poses: Array, places: Array, count: int) -> list[Array]:
     if not len(poses):
         return []
     distance = np.linalg.norm(places, axis=1)
-    found = []
+    chosen = []
     for _ in range(min(count, len(poses))):
         k = int(np.argmax(distance))
-        found.append(poses[k])
+        chosen.append(poses[k])
         distance = np.minimum(distance, np.linalg.norm(places - places[k], axis=1))
-    return found
+    return chosen
 
 
 def _plain(q: Array) -> tuple[float, ...]:
@@ -266,10 +266,10 @@ def _steps(arm: Arm, room: CollisionFreeBox, request: PlanRequest, extent: PlanE
         draw = np.random.default_rng(SEED)
         blocks = _blocks(poses, draw)
         shuffled = [poses[k] for k in draw.permutation(len(poses)).tolist()]
-        some = shuffled[: round(SHARE_LOADED * len(poses))] if request.payload_kg > 0.0 else []
+        loaded_poses = shuffled[: round(SHARE_LOADED * len(poses))] if request.payload_kg > 0.0 else []
         for number, block in enumerate(blocks):
             empty += _visits(block, room, 0.0, number)
-        for number, block in enumerate(_blocks(some, draw), start=len(blocks)):
+        for number, block in enumerate(_blocks(loaded_poses, draw), start=len(blocks)):
             loaded += _visits(block, room, request.payload_kg, number)
     if request.has_motions:
         runs = list(_runs(arm, room.inset(MARGIN_rad), request.payload_kg, extent))
@@ -303,10 +303,10 @@ def _visits(poses: Sequence[NamedPose], room: CollisionFreeBox, payload_kg: floa
             order += [(reference, side) for side in sides[1::2]]
         order += [(pose, side) for side in sides[k % 2 :: 2]]
     order += [(reference, side) for side in sides[::2]]
-    taken: dict[str, int] = {}
+    visits: dict[str, int] = {}
     for pose, side in order:
-        taken[pose.name] = taken.get(pose.name, 0) + 1
-        yield PlannedVisit(pose.name, taken[pose.name], pose.q_rad, side, payload_kg, pose.via_rad, setup)
+        visits[pose.name] = visits.get(pose.name, 0) + 1
+        yield PlannedVisit(pose.name, visits[pose.name], pose.q_rad, side, payload_kg, pose.via_rad, setup)
 
 
 def _sides(n: int, number: int) -> tuple[tuple[int, ...], ...]:

@@ -70,9 +70,9 @@ class ResidualRows:
 
     def told_by(self, physics: Physics) -> ResidualRows:
         """The same rows, at the same floors, of another account of the same motions."""
-        other = copy.copy(self)
-        other.physics, other.recording = physics, physics.recording
-        return other
+        rows = copy.copy(self)
+        rows.physics, rows.recording = physics, physics.recording
+        return rows
 
     def residual(self, model: Sequence[Law]) -> Array:
         """Rows (k,): model less measurement over the floor."""
@@ -90,10 +90,10 @@ class ResidualRows:
         for j, runs in self.physics.following.flights(model).items():
             reach = round(LANDING_s * filters.rate_Hz)
             near = [spread(moving[:, None], reach)[filters.places(len(moving)), 0] for moving in runs]
-            kept = np.concatenate([~flags[self._masks[k][:, j]] for k, flags in enumerate(near)])
+            usable = np.concatenate([~flags[self._masks[k][:, j]] for k, flags in enumerate(near)])
             for cell in self.table.cells:
                 if cell.channel == "current_A" and cell.joint == j:
-                    result[cell.rows] = kept
+                    result[cell.rows] = usable
         return result
 
     def friction_slope(self, term: Law, model: Sequence[Law] = ()) -> Array:
@@ -129,10 +129,10 @@ class ResidualRows:
                     blocks.append(("current_A", j, rows[keep, j], k, places[k][keep]))
         if with_voltage:
             for j in range(n):
-                for k, found in enumerate(voltage):
+                for k, residual in enumerate(voltage):
                     keep = self._electrical[k][:, j]
-                    if found is not None:
-                        blocks.append(("voltage_as_A", j, found[keep, j], k, places[k][keep]))
+                    if residual is not None:
+                        blocks.append(("voltage_as_A", j, residual[keep, j], k, places[k][keep]))
         if recording.has_tip:
             for k, prediction in enumerate(predictions):
                 frames = np.repeat(recording.runs[k].frames, 3)
@@ -259,10 +259,10 @@ def _from_repeats(physics: Physics, by_run: dict[int, tuple[Places, Array]], axe
     for group in physics.recording.repeats:
         for a, b in itertools.pairwise(group):
             differences.append(_difference(*by_run[a], *by_run[b], axes))
-    found = [d for d in differences if len(d) >= FEWEST and d.any()]  # what never differs repeats nothing
-    if not found:
+    differing = [d for d in differences if len(d) >= FEWEST and d.any()]  # what never differs repeats nothing
+    if not differing:
         return None
-    pooled = np.concatenate(found)
+    pooled = np.concatenate(differing)
     robust = NORMAL * float(np.median(np.abs(pooled - np.median(pooled))))
     plain = float(np.sqrt(np.mean(pooled**2)))
     # Where a few rows differ by far more (a stick-slip that falls differently) the middle is the noise.
@@ -290,8 +290,8 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     angle = max(step, _seen_step(physics, joint, step)) / np.sqrt(12.0)
     bent = np.convolve(recording.filters.state[2], recording.filters.row)
     turning = np.convolve(recording.filters.state[1], recording.filters.row)
-    own = np.concatenate(physics.body.own_inertia(Load(), joint))
-    inertia = float(physics.body.rotor_kg_m2[joint] + np.median(own))
+    inertia_kg_m2 = np.concatenate(physics.body.own_inertia(Load(), joint))
+    inertia = float(physics.body.rotor_kg_m2[joint] + np.median(inertia_kg_m2))
     bends = float(np.linalg.norm(bent)) * inertia / K
     turns = float(np.linalg.norm(turning)) * K / R
     by_channel = bends if channel == "current_A" else turns
@@ -312,6 +312,6 @@ def _steps_at_tip_m(physics: Physics) -> float:
 
 def _seen_step(physics: Physics, joint: int, step: float) -> float:
     """The step of the recorded angles, which may be coarser than the encoder's: the smallest between neighbours."""
-    found = [np.diff(np.unique(run.q_raw[:, joint])) for run in physics.recording.runs]
-    counted = np.concatenate([part[part > 0.5 * step] for part in found])  # less is the printing's
+    steps_rad = [np.diff(np.unique(run.q_raw[:, joint])) for run in physics.recording.runs]
+    counted = np.concatenate([part[part > 0.5 * step] for part in steps_rad])  # less is the printing's
     return float(counted.min()) if len(counted) else 0.0

@@ -42,9 +42,9 @@ def without_noise(recording: RunSet) -> RunSet:
 
 def _smooth(run: EvenRun, filters: Filters) -> EvenRun:
     beside = (len(filters.state[0]) - 1) // 2  # samples at the end that the filter knows half
-    of_angle, of_current = (_shares(own, filters.rate_Hz) for own in (run.q_raw, run.current_raw_A))
-    speed, acceleration = (_passed(own, of_angle, beside) for own in (run.speed, run.acceleration))
-    current, slope = (_passed(own, of_current, beside) for own in (run.current_A, run.current_slope))
+    of_angle, of_current = (_shares(signal, filters.rate_Hz) for signal in (run.q_raw, run.current_raw_A))
+    speed, acceleration = (_passed(signal, of_angle, beside) for signal in (run.speed, run.acceleration))
+    current, slope = (_passed(signal, of_current, beside) for signal in (run.current_A, run.current_slope))
     voltage = _passed(run.voltage_V, of_angle, beside)  # the controller answers to the angles' noise, too
     return replace(run, speed=speed, acceleration=acceleration, current_A=current, current_slope=slope, voltage_V=voltage)
 
@@ -56,8 +56,8 @@ def _passed(values: Array, shares: Array, beside: int) -> Array:
     held[count - beside :] = values[count - beside - 1]
     doubled = np.concatenate((held, held[::-1]))  # no step at the ends
     at = np.linspace(0.0, len(shares) - 1.0, count + 1)
-    own = np.stack([np.interp(at, np.arange(len(shares)), one) for one in shares.T], axis=1)
-    return np.asarray(np.fft.irfft(np.fft.rfft(doubled, axis=0) * own, 2 * count, axis=0)[:count])
+    gain = np.stack([np.interp(at, np.arange(len(shares)), share) for share in shares.T], axis=1)
+    return np.asarray(np.fft.irfft(np.fft.rfft(doubled, axis=0) * gain, 2 * count, axis=0)[:count])
 
 
 def _shares(measured: Array, rate_Hz: float) -> Array:
@@ -68,7 +68,7 @@ def _shares(measured: Array, rate_Hz: float) -> Array:
     power = np.abs(np.fft.rfft(level * np.hanning(count)[:, None], axis=0)) ** 2
     width = max(1, round(SMOOTHED_Hz * count / rate_Hz))
     kernel = np.ones(2 * width + 1) / (2 * width + 1)
-    smooth = [np.convolve(np.pad(own, width, mode="edge"), kernel, "valid") for own in power.T]
+    smooth = [np.convolve(np.pad(spectrum, width, mode="edge"), kernel, "valid") for spectrum in power.T]
     # the median of an exponential distribution is ln 2 of its mean
     noise = np.median(power[int(NOISE_FROM * len(power)) :], axis=0) / np.log(2.0)
     return np.asarray(np.clip(1.0 - SURELY * noise / np.maximum(np.stack(smooth, axis=1), 1e-300), 0.0, 1.0))
@@ -105,13 +105,13 @@ class RowConditions:
         """Of every sample, run after run."""
 
         def joined(key: str) -> Array:
-            return np.concatenate([getattr(one, key) for one in runs])
+            return np.concatenate([getattr(run, key) for run in runs])
 
-        run = np.repeat(np.arange(len(runs)), [len(one) for one in runs])
+        number = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
         return cls(
-            run,
-            np.concatenate([np.arange(len(one)) for one in runs]),
-            np.concatenate([one.t_s - one.t_s[0] for one in runs]),
+            number,
+            np.concatenate([np.arange(len(run)) for run in runs]),
+            np.concatenate([run.t_s - run.t_s[0] for run in runs]),
             joined("q"),
             joined("speed"),
             joined("acceleration"),
@@ -119,13 +119,13 @@ class RowConditions:
             np.concatenate(current),
             joined("payload_kg"),
             np.concatenate(turned),
-            np.zeros_like(run),
+            np.zeros_like(number),
         )
 
     def at(self, places: Places, axes: int) -> RowConditions:
         """At some samples, `axes` rows each."""
-        some = {one.name: getattr(self, one.name)[places] for one in fields(self)}
-        return RowConditions(**some | {"axis": np.arange(len(places)) % axes})
+        picked = {entry.name: getattr(self, entry.name)[places] for entry in fields(self)}
+        return RowConditions(**picked | {"axis": np.arange(len(places)) % axes})
 
     @property
     def direction(self) -> Array:
@@ -180,7 +180,7 @@ class Thin:
 def _given_Nm(physics: Physics) -> Array:
     """Of each joint, (n,): by its currents, else by the currents that its voltages drive through a motor at rest."""
     runs, arm = physics.recording.runs, physics.arm
-    found = []
+    largest_Nm = []
     for j, drive in enumerate(arm.drives[: arm.joint_count]):
         if physics.recording.has_current:
             drawn = [run.current_A[run.usable[:, j], j] for run in runs]
@@ -189,8 +189,8 @@ def _given_Nm(physics: Physics) -> Array:
             drawn = [run.voltage_V[run.usable[:, j], j] / drive.resistance_ohm for run in runs]
             times = 1.0
         most_A = float(np.quantile(np.abs(np.concatenate(drawn)), SHOWN)) if any(map(len, drawn)) else 0.0
-        found.append(max(times * most_A * abs(float(physics.torque_per_A[j])), LEAST_Nm))
-    return np.array(found)
+        largest_Nm.append(max(times * most_A * abs(float(physics.torque_per_A[j])), LEAST_Nm))
+    return np.array(largest_Nm)
 
 
 class SeriesScene:
@@ -210,27 +210,27 @@ class SeriesScene:
         physics = self.columns.physics
         runs = physics.recording.runs
         load = physics.body.link_torques(Load())
-        current = [_drawn(physics, run, own, known) for run, own in zip(runs, load, strict=True)]
+        current = [_drawn(physics, run, load_Nm, known) for run, load_Nm in zip(runs, load, strict=True)]
         turned = [since_turn(run) for run in self.recording.runs]
         self.whole = RowConditions.of(runs, load, current, turned)
         self.beside = [self._beside(cell) for cell in self.cells]
-        self.thinned = [self._thinned(cell, own) for cell, own in zip(self.cells, self.beside, strict=True)]
-        ends = np.cumsum([0, *(len(one.run) for one in self.thinned)]).tolist()
+        self.thinned = [self._thinned(cell, beside) for cell, beside in zip(self.cells, self.beside, strict=True)]
+        ends = np.cumsum([0, *(len(thin.run) for thin in self.thinned)]).tolist()
         self.thin = [slice(first, end) for first, end in itertools.pairwise(ends)]
         self.keep(np.ones(len(rows.table.run), dtype=bool))
 
-    def keep(self, kept: Flags) -> None:
+    def keep(self, usable: Flags) -> None:
         """Rows (k,) that models can speak of from now on; the others are like gaps."""
-        self.kept = kept
-        still = self.picked(kept)
+        self.kept = usable
+        still = self.picked(usable)
         self.series = [
-            RowOrder.of(own.run, own.sample, own.step, own.stride, still[rows])
-            for own, rows in zip(self.thinned, self.thin, strict=True)
+            RowOrder.of(thin.run, thin.sample, thin.step, thin.stride, still[rows])
+            for thin, rows in zip(self.thinned, self.thin, strict=True)
         ]
 
     def picked(self, rows: Flags) -> Flags:
         """Thin rows all of whose rows (k,) are picked."""
-        return np.concatenate([own.all_of(rows[cell.rows]) for own, cell in zip(self.thinned, self.cells, strict=True)])
+        return np.concatenate([thin.all_of(rows[cell.rows]) for thin, cell in zip(self.thinned, self.cells, strict=True)])
 
     def _thinned(self, cell: ChannelRows, beside: RowConditions) -> Thin:
         """Rows of a current are thin already; frames of a quick camera are averaged, as far as a motion lets them."""
@@ -248,16 +248,16 @@ class SeriesScene:
 
     def number(self, channel: str, joint: int = -1) -> int | None:
         """Of the cell of a channel and joint (0-based), if there is one."""
-        return next((k for k, one in enumerate(self.cells) if (one.channel, one.joint) == (channel, joint)), None)
+        return next((k for k, cell in enumerate(self.cells) if (cell.channel, cell.joint) == (channel, joint)), None)
 
     def split(self, columns: Array) -> dict[int, Array]:
         """Columns (rows, c) by cell, without the cells where they are nought."""
-        found = {}
+        by_cell = {}
         for k, cell in enumerate(self.cells):
-            own = columns[cell.rows]
-            if own.size and np.any(np.abs(own) > 1e-9):
-                found[k] = np.ascontiguousarray(own)
-        return found
+            part = columns[cell.rows]
+            if part.size and np.any(np.abs(part) > 1e-9):
+                by_cell[k] = np.ascontiguousarray(part)
+        return by_cell
 
     def torque(self, joint: int, torque_Nm: Array) -> dict[int, Array]:
         """The response to torques (c, samples) at a motor, filtered as the rows of its current are."""
@@ -270,13 +270,13 @@ class SeriesScene:
     def filtered(self, k: int, values: Array) -> Array:
         """Values (c, samples) as the rows of a cell of currents are filtered, (its rows, c)."""
         beside, filters = self.beside[k], self.recording.filters
-        found = np.empty((len(beside.run), len(values)))
+        passed = np.empty((len(beside.run), len(values)))
         for number in range(len(self.recording.runs)):
             mine = beside.run == number
             if mine.any():
                 rows = filters.rows(values[:, self.whole.run == number].T)
-                found[mine] = rows[(beside.sample[mine] - filters.reach) // filters.step]
-        return found
+                passed[mine] = rows[(beside.sample[mine] - filters.reach) // filters.step]
+        return passed
 
     def ahead(self, joint: int, angle_rad: Array) -> dict[int, Array]:
         """The tips' response to a joint that is further than its encoder says by angles (c, tip rows)."""
@@ -285,7 +285,7 @@ class SeriesScene:
 
     def lever_m(self, joint: int) -> Array:
         """How each row of the tips follows a joint (0-based)."""
-        parts = [own[:, :, joint].ravel() for own in self.rows.physics.tips.jacobians]
+        parts = [jacobian[:, :, joint].ravel() for jacobian in self.rows.physics.tips.jacobians]
         return np.concatenate(parts)
 
 
@@ -312,10 +312,10 @@ class OperatingPoint:
     smooth: Array
 
     @classmethod
-    def of(cls, scene: SeriesScene, known: Sequence[Law], found: Mapping[Key, Law]) -> OperatingPoint:
+    def of(cls, scene: SeriesScene, known: Sequence[Law], laws: Mapping[Key, Law]) -> OperatingPoint:
         """With what it leaves."""
-        model = (*known, *found.values())
-        return cls(scene, tuple(known), dict(found), scene.rows.residual(model), scene.columns.residual(model))
+        model = (*known, *laws.values())
+        return cls(scene, tuple(known), dict(laws), scene.rows.residual(model), scene.columns.residual(model))
 
     @property
     def model(self) -> tuple[Law, ...]:
@@ -326,7 +326,7 @@ class OperatingPoint:
         """The model without a law, and its rows as columns are reckoned from them."""
         if key not in self.found:
             return self.model, self.smooth
-        rest = (*self.known, *(law for own, law in self.found.items() if own != key))
+        rest = (*self.known, *(law for name, law in self.found.items() if name != key))
         return rest, self.scene.columns.residual(rest)
 
 
@@ -354,7 +354,7 @@ class SeriesTerm(Term):
     @property
     def count(self) -> int:
         """How many columns."""
-        return next((own.shape[1] for own in self.response.values()), 0)
+        return next((columns.shape[1] for columns in self.response.values()), 0)
 
     def departed_by(self, size: Array) -> float:
         """What the departures do together, with coefficients of all columns (c,), over what the law does, in all rows.
@@ -362,9 +362,9 @@ class SeriesTerm(Term):
         Those of one variable look alike, and may take each other's place; those of a channel that hardly shows the law are noise.
         """
         ends = self.laws, self.laws + self.departures
-        law = sum(float(np.sum((own[:, : ends[0]] @ size[: ends[0]]) ** 2)) for own in self.response.values())
+        law = sum(float(np.sum((columns[:, : ends[0]] @ size[: ends[0]]) ** 2)) for columns in self.response.values())
         bent = slice(*ends)
-        departs = sum(float(np.sum((own[:, bent] @ size[bent]) ** 2)) for own in self.response.values())
+        departs = sum(float(np.sum((columns[:, bent] @ size[bent]) ** 2)) for columns in self.response.values())
         return math.sqrt(departs / law) if law > 0.0 else 0.0
 
     @property
@@ -393,40 +393,40 @@ class Curve:
 
     def held(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Coefficients (c,) and their covariance given that one value is behind both (the iterated update of a Kalman filter)."""
-        found, spread = mean, covariance
+        estimate, spread = mean, covariance
         for _ in range(HELD_TURNS):
-            second, slope = self.turned(float(found[0]))
+            second, slope = self.turned(float(estimate[0]))
             along = np.zeros(len(mean))
             along[[0, self.place]] = -slope, 1.0
             gain = covariance @ along / (float(along @ covariance @ along) + TURN_DOUBT**2)
-            missed = float(found[self.place]) - second - float(along @ (found - mean))
-            found, spread = mean - gain * missed, covariance - np.outer(gain, along @ covariance)
-        return found, spread
+            missed = float(estimate[self.place]) - second - float(along @ (estimate - mean))
+            estimate, spread = mean - gain * missed, covariance - np.outer(gain, along @ covariance)
+        return estimate, spread
 
 
 def stacked(parts: Sequence[Response]) -> dict[int, Array]:
     """Responses side by side, nought where one has nothing."""
     cells = sorted({cell for part in parts for cell in part})
-    widths = [next((own.shape[1] for own in part.values()), 1) for part in parts]
-    found = {}
+    widths = [next((columns.shape[1] for columns in part.values()), 1) for part in parts]
+    joined = {}
     for cell in cells:
         rows = next(part[cell].shape[0] for part in parts if cell in part)
-        found[cell] = np.hstack(
+        joined[cell] = np.hstack(
             [part[cell] if cell in part else np.zeros((rows, width)) for part, width in zip(parts, widths, strict=True)]
         )
-    return found
+    return joined
 
 
 def scaled(response: Response, factor: float) -> dict[int, Array]:
     """All columns times a factor."""
-    return {cell: own * factor for cell, own in response.items()}
+    return {cell: columns * factor for cell, columns in response.items()}
 
 
 def size_of(response: Response) -> Array:
     """Euclidean norm of each column over all cells, (c,)."""
     total: Array | float = 0.0
-    for own in response.values():
-        total = total + np.sum(own**2, axis=0)
+    for columns in response.values():
+        total = total + np.sum(columns**2, axis=0)
     return np.asarray(np.sqrt(np.atleast_1d(total)))
 
 
@@ -435,23 +435,23 @@ def departed(law: Response, shapes: Mapping[int, Array]) -> tuple[dict[int, Arra
     was taken off: by how much each law's coefficients change with a departure as large as the law, (c, laws, laws).
     """
     products: dict[int, Array] = {}
-    for cell, own in law.items():
+    for cell, response in law.items():
         shape = shapes[cell]
-        products[cell] = np.hstack([own * one[:, None] for one in shape])
+        products[cell] = np.hstack([response * row[:, None] for row in shape])
     width = next(iter(products.values())).shape[1] if products else 0
     count = next(iter(law.values())).shape[1]
     if not width:
         return {}, np.zeros((0, count, count))
     across: Array = np.zeros((count, width))
     gram = np.zeros((len(across), len(across)))
-    for cell, own in law.items():
-        across = across + own.T @ products[cell]
-        gram = gram + own.T @ own
+    for cell, response in law.items():
+        across = across + response.T @ products[cell]
+        gram = gram + response.T @ response
     whole = float(np.sqrt(np.trace(gram) / len(gram)))
     share = np.linalg.lstsq(gram, across, rcond=None)[0]
-    rest = {cell: products[cell] - own @ share for cell, own in law.items()}
+    rest = {cell: products[cell] - response @ share for cell, response in law.items()}
     sizes = size_of(rest)
-    kept = sizes > BENDS_LEAST * whole
-    columns = {cell: own[:, kept] * (whole / sizes[kept]) for cell, own in rest.items()} if kept.any() else {}
-    taken = share / np.maximum(size_of(products), 1e-300) * whole
-    return columns, np.moveaxis(taken.reshape(count, -1, count), 1, 0)
+    apart = sizes > BENDS_LEAST * whole
+    columns = {cell: response[:, apart] * (whole / sizes[apart]) for cell, response in rest.items()} if apart.any() else {}
+    projection = share / np.maximum(size_of(products), 1e-300) * whole
+    return columns, np.moveaxis(projection.reshape(count, -1, count), 1, 0)

@@ -50,17 +50,17 @@ class RowOrder:
     run: Places
 
     @classmethod
-    def of(cls, run: Places, sample: Places, step: int, stride: int, kept: Flags | None = None) -> RowOrder:
+    def of(cls, run: Places, sample: Places, step: int, stride: int, usable: Flags | None = None) -> RowOrder:
         """From each row's run and sample; neighbours are `step` samples apart, `stride` rows side by side at each.
 
-        Rows that are not `kept` are like gaps.
+        Rows that are not `usable` are like gaps.
         """
         own_run, own_sample = run[::stride], sample[::stride]
         follows = np.zeros(len(own_run), dtype=bool)
         follows[1:] = (np.diff(own_run) == 0) & (np.diff(own_sample) <= step)
-        if kept is not None:
-            follows &= kept[::stride]
-            follows[1:] &= kept[::stride][:-1]
+        if usable is not None:
+            follows &= usable[::stride]
+            follows[1:] &= usable[::stride][:-1]
         count = np.arange(len(own_run))
         first = np.maximum.accumulate(np.where(follows, 0, count))
         return cls(np.repeat(count - first, stride), stride, run)
@@ -72,8 +72,8 @@ class RowOrder:
         """
         highest = len(noise.coefficients) - 1
         weights = np.zeros((highest + 1, highest + 1))  # by order and lag
-        for order, own in enumerate(noise.coefficients):
-            weights[order, : order + 1] = np.concatenate(([1.0], -own)) / noise.sd[order]
+        for order, coefficients in enumerate(noise.coefficients):
+            weights[order, : order + 1] = np.concatenate(([1.0], -coefficients)) / noise.sd[order]
         at = np.arange(len(self.before)) if picked is None else np.flatnonzero(picked)
         orders = np.minimum(self.before[at], highest)
         lags = np.arange(highest + 1)
