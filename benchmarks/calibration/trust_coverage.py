@@ -156,10 +156,6 @@ def main() -> None:
             print(f"{sort}: {100 * float(np.mean(shares)):.1f} % of true errors inside, {given.cases} arms")
 
 
-if __name__ == "__main__":
-    main()
-
-
 # Arms whose parts keep no textbook's law, recorded over the whole of their joints' ranges or the middle half of them.
 #
 # Independent of calib: kinematics and gravity torques are those of benchmarks.gap.static, and the laws are what a plant does to
@@ -318,3 +314,7 @@ def _moved_m(name: str, rng: np.random.Generator, at: Poses, rig: Rig, dh: Array
     whole = bent(one, at, rig, frames, tip, down)[0]
     bare = bent(one, dataclasses.replace(at, payload=0.0 * at.payload), rig, frames, tip, down)[0]
     return np.asarray(whole + _off(rng) * (whole - bare) + 0.5 * _off(rng) * bare)
+
+
+if __name__ == "__main__":
+    main()
