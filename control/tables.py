@@ -157,9 +157,9 @@ class TableContent:
         self.unknown = tuple(name for name in header if name not in declared)
         self._require_columns(declared)
         self._columns = {name: column for name, column in declared.items() if name in header}
-        kept = self.unknown if form.unknown == "kept" else ()
+        extra = self.unknown if form.unknown == "kept" else ()
         self._words: dict[str, list[str]] = {
-            name: [] for name in header if name in kept or (name in declared and declared[name].is_name)
+            name: [] for name in header if name in extra or (name in declared and declared[name].is_name)
         }
         self._numbers = {name: array("d") for name in self._columns if name not in self._words}
         self._alike: dict[str, dict[str, str]] = {name: {} for name in self._words}
@@ -204,13 +204,13 @@ class TableContent:
 
     def quaternions(self, *names: str) -> Array:
         """Unit quaternions (m, 4) of four columns, scaled to length 1."""
-        given = self.numbers(*names)
-        for row in np.flatnonzero(np.isfinite(given).all(axis=1)).tolist():
+        quaternions = self.numbers(*names)
+        for row in np.flatnonzero(np.isfinite(quaternions).all(axis=1)).tolist():
             try:
-                given[row] = checked_quaternion(given[row].tolist())
+                quaternions[row] = checked_quaternion(quaternions[row].tolist())
             except BadTarget as error:
                 raise self._wrong(f"{self.place(row)}: {error}") from None
-        return given
+        return quaternions
 
     def place(self, row: int) -> str:
         """File and line of a row, for errors."""

@@ -346,15 +346,15 @@ class SlcanLink:
         return [frame for line in lines if (frame := self._frame(line)) is not None]
 
     def _frame(self, line: bytes) -> tuple[int, bytes] | None:
-        found = _FRAME.match(line)
-        if found is None:
+        matched = _FRAME.match(line)
+        if matched is None:
             self.rejected += line.startswith(_OTHER_FRAMES) or line.startswith(b"t")
             return None
-        digits = 2 * int(found[2])
-        if len(found[3]) < digits:
+        digits = 2 * int(matched[2])
+        if len(matched[3]) < digits:
             self.rejected += 1
             return None
-        return int(found[1], 16), bytes.fromhex(found[3][:digits].decode())
+        return int(matched[1], 16), bytes.fromhex(matched[3][:digits].decode())
 
     def close(self) -> None:
         """Leave the bus; idempotent."""

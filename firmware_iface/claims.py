@@ -66,14 +66,14 @@ def claim_serial(url: str, device: str | None) -> Claim | None:
     where = f"serial port {url}"
     if device is not None:
         try:
-            found = Path(device).stat()
+            status = Path(device).stat()
         except OSError:  # opening it says why
             return None
-        if not stat.S_ISCHR(found.st_mode):
+        if not stat.S_ISCHR(status.st_mode):
             return None
         # Ptys are numbered anew in each container.
-        within = found.st_dev if os.major(found.st_rdev) in _PTY_MAJORS else 0
-        return _claim(f"serial/{within}/{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}", where)
+        within = status.st_dev if os.major(status.st_rdev) in _PTY_MAJORS else 0
+        return _claim(f"serial/{within}/{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}", where)
     parts = urlsplit(url)
     if parts.scheme not in _REMOTE:
         return None

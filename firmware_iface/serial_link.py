@@ -149,10 +149,10 @@ class _PosixByteLink:
             raise self._lost(problem) from None
 
     def write(self, data: bytes) -> None:
-        left = data
-        while left:
+        rest = data
+        while rest:
             try:
-                left = left[os.write(self._fd, left) :]
+                rest = rest[os.write(self._fd, rest) :]
             except BlockingIOError:
                 if not self._writable.poll(WRITE_TIMEOUT_ms):
                     raise self._lost(f"no byte accepted for {WRITE_TIMEOUT_ms} ms") from None

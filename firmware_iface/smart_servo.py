@@ -161,13 +161,13 @@ class SmartServo(ABC):
 
         return self._question(lambda: self.WIRE.write(self.number, address, made()), 0, taken)
 
-    def _question(self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]) -> ServoQuestion:
+    def _question(self, made: Callable[[], bytes], parameter_bytes: int, take: Callable[[bytes, float], None]) -> ServoQuestion:
         wire = self.WIRE
-        return ServoQuestion(self.number, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
+        return ServoQuestion(self.number, made, parameter_bytes, take, wire.status_in, wire.STATUS_OVERHEAD)
 
-    def _reading(self, span: tuple[int, int], taken: Callable[[bytes, float], None]) -> ServoQuestion:
+    def _reading(self, span: tuple[int, int], take: Callable[[bytes, float], None]) -> ServoQuestion:
         """The question for the values at an address, of a length."""
-        return self._question(lambda: self.WIRE.read(self.number, *span), span[1], taken)
+        return self._question(lambda: self.WIRE.read(self.number, *span), span[1], take)
 
     def at_errors(self, how_weak: str = "") -> str:
         """What it does at each error, in words."""

@@ -67,12 +67,12 @@ class PicturedArm:
         for number, link in enumerate(self.links, 1):
             off = {key: self.deviations.get(f"link{number}_{key}", 0.0) for key in DH_KEYS}
             frame = true_frame(link, off, self.convention)
-            own = FramePose(frame.rotation, frame.position_m)
+            link_frame = FramePose(frame.rotation, frame.position_m)
             if link.joint == "fixed":
-                place = place.then(own)
+                place = place.then(link_frame)
                 continue
             turn = FramePose(rotation_z(next(angles)), np.zeros(3))
-            place = place.then(turn).then(own) if self.convention == "standard" else place.then(own).then(turn)
+            place = place.then(turn).then(link_frame) if self.convention == "standard" else place.then(link_frame).then(turn)
         return place
 
     def picture(self, q_rad: Sequence[float], draw: np.random.Generator) -> Grey:

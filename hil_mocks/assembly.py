@@ -43,9 +43,9 @@ def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:
     return gather([*known, *hidden], len(arm.drives), len(arm.links), where)
 
 
-def _of_every_joint(arm: Arm, table: EveryJoint, given: Sequence[EffectEntry]) -> list[EffectEntry]:
+def _of_every_joint(arm: Arm, table: EveryJoint, listed: Sequence[EffectEntry]) -> list[EffectEntry]:
     """What `[every_joint]` gives to joints that have no such effect yet."""
-    taken = {(entry.effect, entry.joint) for entry in given}
+    present = {(entry.effect, entry.joint) for entry in listed}
     entries = []
     for drive in arm.drives:
         torque_Nm = _torque_Nm(drive)
@@ -54,7 +54,7 @@ def _of_every_joint(arm: Arm, table: EveryJoint, given: Sequence[EffectEntry]) -
             ("viscous_friction", "coefficient_Nm_s_rad", table.viscous_share_s_rad * torque_Nm),
             ("backlash", "width_rad", table.backlash_rad),
         ):
-            if value > 0.0 and (effect, drive.joint) not in taken:
+            if value > 0.0 and (effect, drive.joint) not in present:
                 entries.append(EffectEntry(effect, drive.joint, {key: value}))
     return entries
 

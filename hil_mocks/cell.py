@@ -46,22 +46,22 @@ class MockCell:
             )
         # Each arm has its own hidden errors and noise.
         scenarios = [msgspec.structs.replace(scenario, seed=scenario.seed + index) for index in range(len(cell.arms))]
-        arms = [as_built(placed.arm, own) for placed, own in zip(cell.arms, scenarios, strict=True)]
+        arms = [as_built(placed.arm, seeded) for placed, seeded in zip(cell.arms, scenarios, strict=True)]
         plants = plants_of(
             [
                 PlacedPlant(
                     parts_of(arm),
-                    effects_of(arm, own),
-                    start_pose(arm, own),
-                    plant_options(own),
+                    effects_of(arm, seeded),
+                    start_pose(arm, seeded),
+                    plant_options(seeded),
                     Standing() if is_alone else Standing(placed.name, placed.origin_m, placed.orientation),
                 )
-                for placed, arm, own in zip(cell.arms, arms, scenarios, strict=True)
+                for placed, arm, seeded in zip(cell.arms, arms, scenarios, strict=True)
             ]
         )
         self.robots: Mapping[str, MockRobot] = {
-            placed.name: MockRobot(placed.arm, own, plant)
-            for placed, own, plant in zip(cell.arms, scenarios, plants, strict=True)
+            placed.name: MockRobot(placed.arm, seeded, plant)
+            for placed, seeded, plant in zip(cell.arms, scenarios, plants, strict=True)
         }
         self._plants, self._all = plants, tuple(self.robots.values())
         self.tick_s, self._steps = self._all[0].tick_s, self._all[0].steps_per_tick
@@ -95,10 +95,10 @@ class MockCell:
         """For each arm: its name, its encoder boards' paths, and the path of each port of its bought boards."""
         at = 0
         for name, robot in self.robots.items():
-            own = paths[at : at + robot.serial_lines]
+            arm_paths = paths[at : at + robot.serial_lines]
             at += robot.serial_lines
             encoders = len(robot.encoder_boards)
-            yield name, own[:encoders], dict(zip(robot.bought.ports, own[encoders:], strict=True))
+            yield name, arm_paths[:encoders], dict(zip(robot.bought.ports, arm_paths[encoders:], strict=True))
 
     def tick(self) -> None:
         """Advance everything by one tick."""
@@ -181,6 +181,6 @@ class PlacedPlant:
 
 def plants_of(placed: Sequence[PlacedPlant]) -> list[Plant]:
     """Plants of several arms in one world; `step_together` advances them."""
-    models = build([to_build(one.arm, one.effects, one.options, one.standing) for one in placed])
+    models = build([to_build(p.arm, p.effects, p.options, p.standing) for p in placed])
     state = mujoco.MjData(models[0].model)
-    return [Plant(one.arm, one.effects, one.start_rad, one.options, (at, state)) for one, at in zip(placed, models, strict=True)]
+    return [Plant(p.arm, p.effects, p.start_rad, p.options, (at, state)) for p, at in zip(placed, models, strict=True)]

@@ -203,13 +203,13 @@ class Wires:
 
     def collect(self) -> None:
         """Take the host's frames from the kernel, in their order."""
-        found: list[Arrived] = []
+        arrivals: list[Arrived] = []
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
             for carried, bus in self._buses.items():
-                found += [(at_s, carried, frame) for at_s, frame in bus.receive_timed()]
+                arrivals += [(at_s, carried, frame) for at_s, frame in bus.receive_timed()]
         if len(self._buses) > 1:
-            found.sort(key=itemgetter(0))
-        self._arrived += found
+            arrivals.sort(key=itemgetter(0))
+        self._arrived += arrivals
 
     def pass_frames(self, robot: OnWires, until_s: float = math.inf) -> None:
         """Pass collected frames that had come by then (seconds since 1970) to the robot."""
@@ -336,12 +336,12 @@ class Commands:
 
     def received(self) -> list[bytes]:
         """What clients have asked."""
-        found = []
+        requests = []
         with contextlib.suppress(BlockingIOError):
             while True:
                 request, self._client = self._socket.recvfrom(_LONGEST_DATAGRAM)
-                found.append(request)
-        return found
+                requests.append(request)
+        return requests
 
     def send(self, packet: bytes) -> None:
         """Send to the client, if there is one."""
@@ -366,21 +366,21 @@ class OneClientServer:
 
     def received(self) -> list[bytes]:
         """Whole packets of the client; an empty one when a client has connected."""
-        found = []
+        packets = []
         with contextlib.suppress(BlockingIOError):
             client, _ = self._listener.accept()
             client.setblocking(False)
             self._hang_up()
             self._client = client
-            found.append(b"")
+            packets.append(b"")
         self._buffer += self._arrived()
         while len(self._buffer) >= 4:
             size = int.from_bytes(self._buffer[:4], "little")
             if size < 4 or len(self._buffer) < size:
                 break
-            found.append(self._buffer[:size])
+            packets.append(self._buffer[:size])
             self._buffer = self._buffer[size:]
-        return found
+        return packets
 
     def _arrived(self) -> bytes:
         if self._client is None:

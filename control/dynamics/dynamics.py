@@ -71,10 +71,10 @@ def _check_masses(arm: Arm) -> None:
     """A revolute link, or a fixed link after it, needs mass, com and inertia."""
     for number, link in enumerate(arm.links, start=1):
         carried = []
-        for other in arm.links[number - 1 :]:
-            if other is not link and other.joint == "revolute":
+        for outboard in arm.links[number - 1 :]:
+            if outboard is not link and outboard.joint == "revolute":
                 break
-            carried.append(other.mass_kg)
+            carried.append(outboard.mass_kg)
         lacks = [
             key for key, value in (("com_m", link.com_m), ("inertia_kg_m2", link.inertia_kg_m2)) if value is None and link.mass_kg
         ]
@@ -101,11 +101,11 @@ def inverse_dynamics(
     for i in reversed(range(len(chain.bodies))):
         force, moment = _add(forces[i], force), _add(moments[i], moment)
         joint = chain.bodies[i].joint
-        own = moment[2]
+        about_z = moment[2]
         force, moment = _rotate(turns[i], force), _rotate(turns[i], moment)
         moment = _add(moment, _cross(moves[i], force))
         if joint is not None:
-            along_axis = own if chain.is_modified else moment[2]
+            along_axis = about_z if chain.is_modified else moment[2]
             torques[joint] = along_axis + chain.rotor_kg_m2[joint] * acceleration[joint]
     return torques
 

@@ -104,11 +104,11 @@ def _term(arm: Arm, effect: Effect) -> tuple[int, float, Torque]:
     return joint - 1, ratio, kind.torque(effect.parameters, math)
 
 
-def _map(arm: Arm, one: CorrectionMap) -> Torque:
-    table, directed = SmoothTable.of(one), SmoothTable.of_direction(one)
-    turn = arm.drive(one.joint).gear_ratio if one.is_periodic else 1.0
+def _map(arm: Arm, entry: CorrectionMap) -> Torque:
+    table, directed = SmoothTable.of(entry), SmoothTable.of_direction(entry)
+    turn = arm.drive(entry.joint).gear_ratio if entry.is_periodic else 1.0
     place: Torque
-    match one.over:
+    match entry.over:
         case "load_Nm":
             place = _at_load
         case "speed_rad_s":

@@ -241,7 +241,7 @@ def link_torque(arm: Arm) -> LinkTorque:
 
 def gear_laws(arm: Arm) -> dict[int, GearLaw]:
     """The gears with backlash, compliance, or a map over load or direction, by joint (1-based)."""
-    found = {}
+    laws = {}
     measured = measured_lags(arm)
     geared = {
         e.joint
@@ -253,7 +253,7 @@ def gear_laws(arm: Arm) -> dict[int, GearLaw]:
         stiffness = _sum(arm, joint, "joint_compliance", "stiffness_Nm_rad")
         dry_Nm = _sum(arm, joint, "coulomb_friction", "torque_Nm")
         unknown_Nm = UNKNOWN_FRICTION * torque_limit_Nm(arm, joint)
-        found[joint] = GearLaw(
+        laws[joint] = GearLaw(
             width_rad=_sum(arm, joint, "backlash", "width_rad"),
             compliance_rad_Nm=1.0 / stiffness if stiffness else 0.0,
             friction_Nm=LINK_SHARE * dry_Nm if dry_Nm else unknown_Nm,
@@ -262,19 +262,19 @@ def gear_laws(arm: Arm) -> dict[int, GearLaw]:
             acceleration_rad_s2=SHARE_OF_ACCELERATION * drive.joint_acceleration_limit_rad_s2,
             measured=measured.get(joint),
         )
-    return found
+    return laws
 
 
 def measured_lags(arm: Arm) -> dict[int, MeasuredLag]:
     """What maps say beyond a joint's angle alone, which is the encoder chain's, by joint (1-based)."""
-    found: dict[int, MeasuredLag] = {}
-    for one in arm.maps:
-        before, directed = found.get(one.joint, MeasuredLag()), SmoothTable.of_direction(one)
-        if one.corrects == "angle_rad" and one.over == "load_Nm":
-            found[one.joint] = replace(before, over_load=SmoothTable.of(one), directed_over_load=directed)
-        elif one.corrects == "angle_rad" and directed is not None:
-            found[one.joint] = replace(before, directed_over_angle=directed)
-    return found
+    lags: dict[int, MeasuredLag] = {}
+    for entry in arm.maps:
+        before, directed = lags.get(entry.joint, MeasuredLag()), SmoothTable.of_direction(entry)
+        if entry.corrects == "angle_rad" and entry.over == "load_Nm":
+            lags[entry.joint] = replace(before, over_load=SmoothTable.of(entry), directed_over_load=directed)
+        elif entry.corrects == "angle_rad" and directed is not None:
+            lags[entry.joint] = replace(before, directed_over_angle=directed)
+    return lags
 
 
 def torque_limit_Nm(arm: Arm, joint: int) -> float:
@@ -300,7 +300,7 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
     rigid, laws = EncoderChain(arm), gear_laws(arm)
     second = arm.limits_rad[COUPLED_TO - 1] if arm.joint_count >= COUPLED_TO else (0.0, 0.0)
     belt = [rigid.belt(q) if isfinite(q) else inf for q in second]
-    found = []
+    ranges_rad = []
     for j, (lower, upper) in enumerate(arm.limits_rad):
         law = laws.get(j + 1)
         off = 0.0 if law is None else _largest_offset_rad(arm, j + 1, law)
@@ -308,8 +308,8 @@ def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:
         room = (max(lower, rigid.joint_of(j, lower) + off + high), min(upper, rigid.joint_of(j, upper) - off + low))
         if not room[0] < room[1]:
             raise ArmError(f"arm {arm.name}: with its effects, joint {j + 1} has no range left within its limits")
-        found.append(room)
-    return tuple(found)
+        ranges_rad.append(room)
+    return tuple(ranges_rad)
 
 
 def _largest_offset_rad(arm: Arm, joint: int, law: GearLaw) -> float:

@@ -189,14 +189,14 @@ class Tuner:
         """The design with poles for the largest inertia (control.dynamics.gains), and its margins."""
         largest = max(self._ratios)
         gains = pole_gains(self._fit, largest, self._filter_s, pole_rad_s)
-        each = [self.margins_of(gains, ratio) for ratio in self._ratios]
+        at_inertias = [self.margins_of(gains, ratio) for ratio in self._ratios]
         worst = Margins(
-            min(m.gain_dB for m in each),
-            min(m.phase_deg for m in each),
-            min(m.crossover_rad_s for m in each),
-            max(m.sensitivity for m in each),
+            min(m.gain_dB for m in at_inertias),
+            min(m.phase_deg for m in at_inertias),
+            min(m.crossover_rad_s for m in at_inertias),
+            max(m.sensitivity for m in at_inertias),
         )
-        if any(math.isnan(m.phase_deg) for m in each):
+        if any(math.isnan(m.phase_deg) for m in at_inertias):
             worst = Margins(math.nan, math.nan, math.nan, math.nan)
         return LoopDesign(gains, pole_rad_s, self.margins_of(gains), worst)
 

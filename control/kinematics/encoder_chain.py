@@ -30,9 +30,9 @@ class EncoderChain:
         self._gain, self._sine, self._cosine = [1.0] * n, [0.0] * n, [0.0] * n
         self._ratio = 0.0
         self._table: list[SmoothTable | None] = [None] * n
-        for one in arm.maps:
-            if one.corrects == one.over == "angle_rad":
-                self._table[one.joint - 1] = SmoothTable.of(one)
+        for entry in arm.maps:
+            if entry.corrects == entry.over == "angle_rad":
+                self._table[entry.joint - 1] = SmoothTable.of(entry)
         for effect in arm.effects:
             if not arm.is_behind_encoder(effect.effect, effect.joint):
                 continue
@@ -71,10 +71,10 @@ class EncoderChain:
 
     def unbelted(self, values: Sequence[float]) -> list[float]:
         """Angles, speeds or accelerations of the joints without the belt's share in joint 3."""
-        own = list(values)
+        unbelted = list(values)
         if self._ratio:
-            own[_COUPLED] -= self._ratio * own[_COUPLED_TO]
-        return own
+            unbelted[_COUPLED] -= self._ratio * unbelted[_COUPLED_TO]
+        return unbelted
 
     def belt(self, second: float) -> float:
         """The belt's share in joint 3 for an angle, speed or acceleration of joint 2."""

@@ -284,17 +284,17 @@ class InverseKinematics:
 
         If none does, raises OutOfReach with the least distance, or NearSingular.
         """
-        found: list[Solution] = []
+        solutions: list[Solution] = []
         failures: list[OutOfReach | NearSingular] = []
         for branch in BRANCHES:
             try:
                 q = self._on_branch(point, branch)
-                found.append(Solution(branch, q, self._range.is_inside(q)))
+                solutions.append(Solution(branch, q, self._range.is_inside(q)))
             except (OutOfReach, NearSingular) as failure:
                 failures.append(failure.with_traceback(None))  # else it would hold this frame, which holds it
-        if not found:
+        if not solutions:
             raise errors.most_telling(failures)
-        return found
+        return solutions
 
     def solve(self, point: Sequence[float], branch: Branch) -> tuple[float, ...]:
         """Return the joint angles for a point [m] on a branch.

@@ -175,14 +175,14 @@ class PoseKinematics:
         q = chain.checked_poses(q_rad, self.joint_count)
         m, n = q.shape
         position, rotation, jacobian = self._batch(*q.T)
-        found = Poses(np.empty((3, m)), np.empty((3, 3, m)), np.empty((6, n, m)))
+        poses = Poses(np.empty((3, m)), np.empty((3, 3, m)), np.empty((6, n, m)))
         for i, value in enumerate(position):
-            found.position_m[i] = value
-        for rows, values in ((found.rotation, rotation), (found.jacobian, jacobian)):
+            poses.position_m[i] = value
+        for rows, values in ((poses.rotation, rotation), (poses.jacobian, jacobian)):
             for i, row in enumerate(values):
                 for j, value in enumerate(row):
                     rows[i, j] = value
-        return Poses(found.position_m.T, found.rotation.transpose(2, 0, 1), found.jacobian.transpose(2, 0, 1))
+        return Poses(poses.position_m.T, poses.rotation.transpose(2, 0, 1), poses.jacobian.transpose(2, 0, 1))
 
     @shared
     def _batch(self) -> Callable[..., Any]:
@@ -275,7 +275,7 @@ def _traced(
     """Without corners that never move or equal the one before."""
     graph = Graph()
     q = [graph.variable(f"q{i}") for i in range(1, sum(turns) + 1)]
-    found: list[tuple[Any, ...]] = []
+    traced: list[tuple[Any, ...]] = []
     radii: list[float] = []
     joints: list[int] = []
     start_m: Vector3 = (0.0, 0.0, 0.0)
@@ -286,18 +286,18 @@ def _traced(
         if not any(isinstance(x, Symbol) for x in corner):
             x, y, z = (float(value) for value in corner)
             start_m = (x, y, z)
-        elif not (found and _is_same(row)):
-            found.append(corner)
+        elif not (traced and _is_same(row)):
+            traced.append(corner)
             radii.append(radius_m)
             joints.append(before)
         if first_free is None and before >= 2:
-            first_free = max(len(found) - 1, 0)
+            first_free = max(len(traced) - 1, 0)
     if any(tool_m):
-        found.append(chain.tip(chain.steps(rows, turns, convention), q, tool_m))
+        traced.append(chain.tip(chain.steps(rows, turns, convention), q, tool_m))
         radii.append(link_radii_m[-1])
         joints.append(sum(turns))
-    free = len(found) if first_free is None else first_free
-    return TracedCorners(q, tuple(found), free, tuple(radii), tuple(joints), start_m)
+    free = len(traced) if first_free is None else first_free
+    return TracedCorners(q, tuple(traced), free, tuple(radii), tuple(joints), start_m)
 
 
 def _is_same(row: Sequence[float]) -> bool:

@@ -112,11 +112,11 @@ def margins(task: Task, jacobians: Array) -> Array:
 
 def errors(targets: Targets, tip: Poses) -> Array:
     """Wanted minus actual (m, 6): position [m], and the rotation vector [rad] from the actual to the wanted orientation."""
-    found = np.zeros((len(tip.position_m), 6))
-    found[:, :3] = targets.position_m - tip.position_m
+    error = np.zeros((len(tip.position_m), 6))
+    error[:, :3] = targets.position_m - tip.position_m
     if targets.rotation is not None:
-        found[:, 3:] = rotations.logarithms(targets.rotation @ np.swapaxes(tip.rotation, 1, 2))
-    return found
+        error[:, 3:] = rotations.logarithms(targets.rotation @ np.swapaxes(tip.rotation, 1, 2))
+    return error
 
 
 def solve(
@@ -233,7 +233,7 @@ class PoseInverse:
     def solutions(self, target: TipPose, q_near: Sequence[float]) -> Iterator[tuple[float, ...]]:
         """Yield different solutions, the one from `q_near` first; errors as `nearest` if there is none."""
         self._range.check_pose(q_near)
-        found: list[tuple[float, ...]] = []
+        postures: list[tuple[float, ...]] = []
         failures: list[OutOfReach | NearSingular] = []
         scattered = _SCATTERED if target.orientation is None else _SCATTERED_TURNED
         for start in seeds(self._limits, [q_near, self._rest], scattered):
@@ -241,10 +241,10 @@ class PoseInverse:
             q = tuple(solved.q_rad[0].tolist())
             if failure := self._failure(target, solved):
                 failures.append(failure)
-            elif all(travel_rad(q, other) > _ANOTHER_RAD for other in found):
-                found.append(q)
+            elif all(travel_rad(q, other) > _ANOTHER_RAD for other in postures):
+                postures.append(q)
                 yield q
-        if not found:
+        if not postures:
             raise problems.most_telling(failures)
 
     def _descended(self, target: TipPose, start: Sequence[float]) -> SolvedPoses:

@@ -48,9 +48,9 @@ def most_telling(failures: list[OutOfReach | NearSingular]) -> OutOfReach | Near
     The others are dropped: a frame that holds what it raises is garbage that only the collector finds.
     """
     failures.sort(key=lambda one: (0, one.margin) if isinstance(one, NearSingular) else (1, one.distance_m))
-    found = failures[0]
+    telling = failures[0]
     failures.clear()
-    return found
+    return telling
 
 
 def jump(name: str, point: Sequence[float], travel_rad: float, limit_rad: float) -> NearSingular:

@@ -29,14 +29,14 @@ class SmoothTable:
         self._step = (upper - lower) / len(self._pieces)
 
     @classmethod
-    def of(cls, one: CorrectionMap) -> Self:
+    def of(cls, entry: CorrectionMap) -> Self:
         """What a map adds in both directions."""
-        return cls(one.values, one.lower, one.upper, one.is_periodic)
+        return cls(entry.values, entry.lower, entry.upper, entry.is_periodic)
 
     @classmethod
-    def of_direction(cls, one: CorrectionMap) -> Self | None:
+    def of_direction(cls, entry: CorrectionMap) -> Self | None:
         """What a map adds in positive motion, if it tells the directions apart."""
-        return cls(one.by_direction, one.lower, one.upper, one.is_periodic) if one.by_direction else None
+        return cls(entry.by_direction, entry.lower, entry.upper, entry.is_periodic) if entry.by_direction else None
 
     def __call__(self, x: float) -> float:
         """The value at x."""

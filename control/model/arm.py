@@ -317,7 +317,7 @@ class Arm:
         if gripper is None or not gripper.board:
             return self.drives
         kind = next(KINDS[board.kind] for board in self.boards if board.name == gripper.board)
-        own = Drive(
+        motor = Drive(
             joint=self.joint_count + 1,
             pid=DrivePid("position" if kind.limits_force else "voltage"),
             gear_ratio=1.0,
@@ -334,7 +334,7 @@ class Arm:
             board_channel=gripper.board_channel,
             servo=gripper.servo,
         )
-        return (*self.drives, own)
+        return (*self.drives, motor)
 
     def has_absolute_encoder(self, drive: Drive) -> bool:
         """Return whether a drive's encoder knows the joint's angle at power-up, within `unique_rad`."""

@@ -306,9 +306,9 @@ def _check_limit_switches(arm: Arm) -> None:
             has_own = bool(drive.board) and drive.encoder_board < 0 and arm.kind_of(drive).has_limit_inputs
             if name and name not in inputs and not (is_own and has_own):
                 known = ", ".join(inputs) or "none"
-                own = ", ".join(kind for kind, offers in KINDS.items() if offers.has_limit_inputs)
+                kinds = ", ".join(kind for kind, offers in KINDS.items() if offers.has_limit_inputs)
                 expected = (
-                    f'the name of a [[digital]] that is an input ({known}); "{OWN_INPUT}" is for: {own}; other boards:'
+                    f'the name of a [[digital]] that is an input ({known}); "{OWN_INPUT}" is for: {kinds}; other boards:'
                     " let the switch open the emergency stop"
                 )
                 raise Rejected(path, expected, f'"{name}"')
@@ -432,12 +432,12 @@ def _check_effects(arm: Arm) -> None:
 
 def _check_maps(arm: Arm) -> None:
     driven = frozenset(drive.joint for drive in arm.drives)
-    for index, one in enumerate(arm.maps):
+    for index, entry in enumerate(arm.maps):
 
         def fault(path: tuple[str, ...], expected: str, got: str, index: int = index) -> Rejected:
             return Rejected(("map", index, *path), expected, got)
 
-        check_map(one, arm.joint_count, driven, fault)
+        check_map(entry, arm.joint_count, driven, fault)
     _check_unique(
         ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)), "each map once per joint"
     )

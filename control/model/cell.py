@@ -126,14 +126,14 @@ class Cell:
         return dataclasses.replace(self, arms=tuple(placed))
 
     def beside_tip(
-        self, name: str, other: str, tip_m: Sequence[float], offsets_m: Sequence[Sequence[float]]
+        self, name: str, leader: str, tip_m: Sequence[float], offsets_m: Sequence[Sequence[float]]
     ) -> tuple[Vector3, ...]:
         """Offsets from another arm's tip, along the axes of the cell, as points of the base frame of arm `name`.
 
         `tip_m`: that tip in the other arm's own base frame.
         """
-        own, (x, y, z) = self.placed(name), self.placed(other).in_cell(tip_m)
-        return tuple(own.in_base((x + u, y + v, z + w)) for u, v, w in offsets_m)
+        arm, (x, y, z) = self.placed(name), self.placed(leader).in_cell(tip_m)
+        return tuple(arm.in_base((x + u, y + v, z + w)) for u, v, w in offsets_m)
 
 
 def cell_of_one(arm: Arm) -> Cell:
@@ -245,13 +245,13 @@ def _check(cell: Cell) -> None:
     """Raise Rejected for what two arms cannot both have."""
     if not cell.arms:
         raise Rejected(("arm",), "at least one [[arm]]", "none")
-    taken: dict[object, str] = {}
+    owner: dict[object, str] = {}
     kinds_on: dict[tuple[str, str], set[str]] = {}
     for index, placed in enumerate(cell.arms):
-        for key, what, one in _claims(placed):
-            if one in taken:
-                raise Rejected(("arm", index, key), f"{what} that no other arm of the cell has", f"that of arm {taken[one]!r}")
-            taken[one] = placed.name
+        for key, what, claim in _claims(placed):
+            if claim in owner:
+                raise Rejected(("arm", index, key), f"{what} that no other arm of the cell has", f"that of arm {owner[claim]!r}")
+            owner[claim] = placed.name
         if (can := placed.arm.can) is not None:
             kinds = kinds_on.setdefault((can.interface, can.channel), set())
             kinds |= {board.kind for board in placed.arm.boards if KINDS[board.kind].line == "can"}

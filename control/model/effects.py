@@ -284,15 +284,15 @@ def followed_joint(effect: str, joint: int | None) -> int | None:
     return joint if kind is None or kind.follows is None else kind.follows
 
 
-def total(effect: str, one: Mapping[str, float], other: Mapping[str, float]) -> Mapping[str, float]:
-    """The parameters of two effects of one kind as those of one; `other` where no single one is the sum of both."""
+def total(effect: str, known: Mapping[str, float], further: Mapping[str, float]) -> Mapping[str, float]:
+    """The parameters of two effects of one kind as those of one; `further` where no single one is the sum of both."""
     kind = EFFECTS[effect]
-    if kind.one_of and one.keys() == other.keys():
-        return {name: value + one[name] for name, value in other.items()}
-    if kind.linear is None or any(one.get(name) != other.get(name) for name in kind.alike):
-        return other
-    summed = [a + b for a, b in zip(kind.linear.values(one), kind.linear.values(other), strict=True)]
-    return {**one, **other, **kind.linear.parameters(summed)}
+    if kind.one_of and known.keys() == further.keys():
+        return {name: value + known[name] for name, value in further.items()}
+    if kind.linear is None or any(known.get(name) != further.get(name) for name in kind.alike):
+        return further
+    summed = [a + b for a, b in zip(kind.linear.values(known), kind.linear.values(further), strict=True)]
+    return {**known, **further, **kind.linear.parameters(summed)}
 
 
 Fault = Callable[[tuple[str, ...], str, str], Exception]
@@ -315,9 +315,9 @@ def check_effect(name: str, joint: int | None, parameters: Mapping[str, float], 
             raise fault(("parameters",), f"{parameter} of the effect {name}", "none")
     for parameter, value in parameters.items():
         _check_parameter(name, kind, parameter, value, links, fault)
-    given = [parameter for parameter in kind.one_of if parameter in parameters]
-    if kind.one_of and len(given) != 1:
-        raise fault(("parameters",), "exactly one of " + ", ".join(kind.one_of), f"{len(given)} of them")
+    chosen = [parameter for parameter in kind.one_of if parameter in parameters]
+    if kind.one_of and len(chosen) != 1:
+        raise fault(("parameters",), "exactly one of " + ", ".join(kind.one_of), f"{len(chosen)} of them")
 
 
 def _check_place(name: str, kind: EffectKind, joint: int | None, joints: int, links: int, fault: Fault) -> None:

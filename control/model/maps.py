@@ -52,27 +52,27 @@ class CorrectionMap:
 Fault = Callable[[tuple[str, ...], str, str], Exception]
 
 
-def check_map(one: CorrectionMap, joints: int, driven: frozenset[int], fault: Fault) -> None:
+def check_map(entry: CorrectionMap, joints: int, driven: frozenset[int], fault: Fault) -> None:
     """Raise `fault(path inside the map, expected, got)` for a map that cannot be followed. `driven`: joints with a drive."""
-    if one.joint > joints:
-        raise fault(("joint",), f"a joint from 1 to {joints}", str(one.joint))
-    if one.over not in OVER_OF[one.corrects]:
-        raise fault(("over",), " or ".join(f'"{over}"' for over in OVER_OF[one.corrects]), f'"{one.over}"')
-    if len(one.values) < NODES_LEAST:
-        raise fault(("values",), f"at least {NODES_LEAST} values", f"{len(one.values)} of them")
-    if one.by_direction and len(one.by_direction) != len(one.values):
-        raise fault(("by_direction",), f"{len(one.values)} values, as many as in values", f"{len(one.by_direction)} of them")
-    if one.is_periodic:
-        if (one.lower, one.upper) != (0.0, tau):
-            raise fault(("lower",), "no lower and upper: the table is one turn of the motor", str(one.lower))
-        if one.joint not in driven:
+    if entry.joint > joints:
+        raise fault(("joint",), f"a joint from 1 to {joints}", str(entry.joint))
+    if entry.over not in OVER_OF[entry.corrects]:
+        raise fault(("over",), " or ".join(f'"{over}"' for over in OVER_OF[entry.corrects]), f'"{entry.over}"')
+    if len(entry.values) < NODES_LEAST:
+        raise fault(("values",), f"at least {NODES_LEAST} values", f"{len(entry.values)} of them")
+    if entry.by_direction and len(entry.by_direction) != len(entry.values):
+        raise fault(("by_direction",), f"{len(entry.values)} values, as many as in values", f"{len(entry.by_direction)} of them")
+    if entry.is_periodic:
+        if (entry.lower, entry.upper) != (0.0, tau):
+            raise fault(("lower",), "no lower and upper: the table is one turn of the motor", str(entry.lower))
+        if entry.joint not in driven:
             raise fault(("over",), "a [[drive]] of the joint: its gear_ratio says how far the motor turns", "none")
-    elif not one.lower < one.upper:
-        raise fault(("upper",), "more than lower", f"{one.upper} (lower is {one.lower})")
-    if one.corrects == "angle_rad" and max(map(abs, (*one.values, *one.by_direction))) > LARGEST_rad:
+    elif not entry.lower < entry.upper:
+        raise fault(("upper",), "more than lower", f"{entry.upper} (lower is {entry.lower})")
+    if entry.corrects == "angle_rad" and max(map(abs, (*entry.values, *entry.by_direction))) > LARGEST_rad:
         raise fault(("values",), f"angles of up to {LARGEST_rad} rad", "a larger one")
-    if one.corrects == "angle_rad" and one.over == "angle_rad":
-        step = (one.upper - one.lower) / (len(one.values) - 1)
-        steep = max(abs(b - a) / step for a, b in pairwise(one.values))
+    if entry.corrects == "angle_rad" and entry.over == "angle_rad":
+        step = (entry.upper - entry.lower) / (len(entry.values) - 1)
+        steep = max(abs(b - a) / step for a, b in pairwise(entry.values))
         if steep > STEEPEST:
             raise fault(("values",), f"values that change by at most {STEEPEST} rad per rad", f"{steep:.3g}")

@@ -51,9 +51,9 @@ def _refused(path: tuple[str | int, ...], value: float, expected: str, unit: str
 
 def _doubted(path: tuple[str | int, ...], value: float, expected: str, unit: str, factor: float) -> Rejected:
     """A refusal that rests on other values of the file, which may be what is wrong."""
-    found = _refused(path, value, expected, unit, factor)
-    found.hint += f"; if all values are meant as they stand, {OVERRIDE}"
-    return found
+    refusal = _refused(path, value, expected, unit, factor)
+    refusal.hint += f"; if all values are meant as they stand, {OVERRIDE}"
+    return refusal
 
 
 def _check_rotor(drive: Drive, index: int) -> None:

@@ -160,9 +160,9 @@ def _value(hint: Any) -> str:
 
 def _range(rule: str) -> str:
     """A condition as a range, or in the reader's words where it is none."""
-    each = "each " if rule.startswith("each ") else ""
-    rule = rule.removeprefix(each)
-    return each + next((form.sub(to, rule) for form, to in RANGES if form.fullmatch(rule)), rule)
+    prefix = "each " if rule.startswith("each ") else ""
+    rule = rule.removeprefix(prefix)
+    return prefix + next((form.sub(to, rule) for form, to in RANGES if form.fullmatch(rule)), rule)
 
 
 def _rules(hint: Any) -> list[str]:

@@ -93,17 +93,17 @@ def solve_joints(kinematics: PoseKinematics, task: Task, tip: TipSamples, postur
     """
     posture_rad, posture_speed, posture_acceleration = posture
     rotation = None if tip.turn is None else tip.turn.rotation
-    found = solve(kinematics, task, Targets(tip.position_m, rotation), posture_rad)
-    jacobian = found.tip.jacobian
+    solved = solve(kinematics, task, Targets(tip.position_m, rotation), posture_rad)
+    jacobian = solved.tip.jacobian
     if task.nearest:
-        speed = _slopes(tip, found.q_rad)
+        speed = _slopes(tip, solved.q_rad)
         acceleration = _slopes(tip, speed)
     else:
         velocity, change = _twists(tip)
         speed = joint_rates(task, jacobian, velocity, posture_speed)
-        change = change - _bias(kinematics, found.q_rad, speed)
+        change = change - _bias(kinematics, solved.q_rad, speed)
         acceleration = joint_rates(task, jacobian, change, posture_acceleration)
-    return JointSamples(found.q_rad, speed, acceleration, margins(task, jacobian), found.is_solved, jacobian, found.error)
+    return JointSamples(solved.q_rad, speed, acceleration, margins(task, jacobian), solved.is_solved, jacobian, solved.error)
 
 
 def _twists(tip: TipSamples) -> tuple[Array, Array]:
@@ -241,22 +241,22 @@ def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: 
     Jerk is that within a section; the steps of acceleration at way-points are bounded by the acceleration
     limit.
     """
-    found = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / of_tip.tip_speed_m_s)]
+    needs = [Demand("tip speed", np.linalg.norm(tip.velocity_m_s, axis=1) / of_tip.tip_speed_m_s)]
     if tip.turn is not None:
         speed, acceleration = (np.linalg.norm(rate, axis=1) for rate in (tip.turn.velocity_rad_s, tip.turn.acceleration_rad_s2))
-        found += [
+        needs += [
             Demand("turning speed of the tip", speed / of_tip.tip_turn_speed_rad_s),
             Demand("turning acceleration of the tip", np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2)),
         ]
     jerk = _jerk(tip, joints.acceleration_rad_s2)
     for j in range(joints.q_rad.shape[1]):
         name = f"joint {j + 1}"
-        found += [
+        needs += [
             Demand(f"{name} speed", np.abs(joints.speed_rad_s[:, j]) / limits.speed_rad_s[j]),
             Demand(f"{name} acceleration", np.sqrt(np.abs(joints.acceleration_rad_s2[:, j]) / limits.acceleration_rad_s2[j])),
             Demand(f"{name} jerk", np.cbrt(np.abs(jerk[:, j]) / limits.jerk_rad_s3[j])),
         ]
-    return found
+    return needs
 
 
 def _jerk(tip: TipSamples, acceleration: Array) -> Array:

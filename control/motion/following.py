@@ -357,23 +357,23 @@ class PostureFollower:
                 into = np.array([time_s - spline.times_s[section]])
                 rotation = turn.sample(np.array([section]), into).rotation
             position = spline.at(time_s)[0]
-            found = self._rule.next(pose_inverse.Targets(np.array([position]), rotation), poses[-1])
-            travel_rad = float(np.abs(found.q_rad - poses[-1]).max())
-            if travel_rad > JUMP_RAD or not found.is_solved[0]:
+            solved = self._rule.next(pose_inverse.Targets(np.array([position]), rotation), poses[-1])
+            travel_rad = float(np.abs(solved.q_rad - poses[-1]).max())
+            if travel_rad > JUMP_RAD or not solved.is_solved[0]:
                 where, number = checks.place(self._waypoints, spline.times_s, time_s)
-                problem = self._lost(position, found, travel_rad)
+                problem = self._lost(position, solved, travel_rad)
                 raise PathError(f"{where}: {problem}; nothing was moved", number)
-            poses.append(found.q_rad)
+            poses.append(solved.q_rad)
         return fractions, [tuple(q[0].tolist()) for q in poses]
 
-    def _lost(self, position: Sequence[float], found: pose_inverse.SolvedPoses, travel_rad: float) -> ArmError:
+    def _lost(self, position: Sequence[float], solved: pose_inverse.SolvedPoses, travel_rad: float) -> ArmError:
         """Why no pose follows the one before."""
-        off_m = float(np.linalg.norm(found.error[0, :3]))
-        if found.is_solved[0]:
+        off_m = float(np.linalg.norm(solved.error[0, :3]))
+        if solved.is_solved[0]:
             return problems.jump(self._name, position, travel_rad, JUMP_RAD)
         if off_m > pose_inverse.POSITION_TOLERANCE_M:
             return problems.out_of_reach(self._name, position, off_m)
-        margin = float(pose_inverse.margins(self._task, found.tip.jacobian)[0])  # so near, Newton's method only fails there
+        margin = float(pose_inverse.margins(self._task, solved.tip.jacobian)[0])  # so near, Newton's method only fails there
         pose = "losing a direction of motion"
         return problems.near_singular(self._name, position, "arm", margin, SINGULAR_MARGIN_M, "m/rad", pose)
 

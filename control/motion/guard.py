@@ -144,9 +144,9 @@ class Guard:
         times_s = (stop.duration_s * k / count for k in range(1, count + 1))
         return min(self.clearance(stop.at(time_s).q_rad) for time_s in times_s)
 
-    def _is_deeper(self, found: Clearance, here_rad: Sequence[float]) -> bool:
+    def _is_deeper(self, clearance: Clearance, here_rad: Sequence[float]) -> bool:
         """Whether something is met, and more than in the pose `here_rad`."""
-        return found.distance_m < 0.0 and found.distance_m < self.clearance(here_rad).distance_m - _DEEPER_m
+        return clearance.distance_m < 0.0 and clearance.distance_m < self.clearance(here_rad).distance_m - _DEEPER_m
 
     def resting_pose(self, state: SetPoint) -> tuple[float, ...]:
         """Where each joint would be after its jerk-limited stop."""
@@ -193,17 +193,17 @@ class Guard:
     def _require_clear(
         self, corners: list[NDArray[np.float64]], times_s: NDArray[np.float64], here: Clearance, body: LinkThickness
     ) -> None:
-        found = list(self._workspace.clearances(corners, body))
-        if not found:
+        clearances = list(self._workspace.clearances(corners, body))
+        if not clearances:
             return
-        distances_m = np.stack([np.broadcast_to(distances, times_s.shape) for distances, _ in found])
+        distances_m = np.stack([np.broadcast_to(distances, times_s.shape) for distances, _ in clearances])
         least_m = distances_m.min(axis=0)
         # As high as the arm has been before each pose: there it may be, and no deeper.
         highest_m = np.maximum.accumulate([here.distance_m, *least_m[:-1]])
         deeper = np.where(least_m < np.minimum(0.0, highest_m - _DEEPER_m), least_m, math.inf)
         k = int(np.argmin(deeper))
         if deeper[k] < math.inf:
-            what = found[int(np.argmin(distances_m[:, k]))][1]
+            what = clearances[int(np.argmin(distances_m[:, k]))][1]
             raise MotionError(f"{what}, {-least_m[k]:.3f} m deeper than allowed, after {float(times_s[k]):.2f} s; {_REMEDY}")
 
 

@@ -165,7 +165,7 @@ def _searched_extrema(trajectory: "ruckig.Trajectory", joint: int) -> tuple[floa
     short).
     """
     duration = trajectory.duration
-    found = [_sample(trajectory, time).q_rad[joint] for time in (0.0, duration)]
+    extrema_rad = [_sample(trajectory, time).q_rad[joint] for time in (0.0, duration)]
     times = [duration * i / _SEARCH_STEPS for i in range(_SEARCH_STEPS + 1)]
     speeds = [_sample(trajectory, time).speed_rad_s[joint] for time in times]
     for (low, high), (before, after) in zip(pairwise(times), pairwise(speeds), strict=True):
@@ -174,8 +174,8 @@ def _searched_extrema(trajectory: "ruckig.Trajectory", joint: int) -> tuple[floa
                 middle = 0.5 * (low + high)
                 is_before = _sample(trajectory, middle).speed_rad_s[joint] * before > 0.0
                 low, high = (middle, high) if is_before else (low, middle)
-            found.append(_sample(trajectory, low).q_rad[joint])
-    return min(found), max(found)
+            extrema_rad.append(_sample(trajectory, low).q_rad[joint])
+    return min(extrema_rad), max(extrema_rad)
 
 
 def _range(limits: JointLimits, state: SetPoint, joint: int) -> tuple[float, float]:

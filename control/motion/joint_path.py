@@ -133,28 +133,28 @@ def _checked(times_s: Sequence[float], knots: "Iterable[SetPoint] | NDArray[np.f
     """The numbers of all knots, (k, 3, joints). MotionError if they are no path."""
     import numpy as np
 
-    given = knots if isinstance(knots, np.ndarray) else list(knots)
-    if not 1 < len(times_s) <= _KNOTS_MOST or len(times_s) != len(given):
+    rows = knots if isinstance(knots, np.ndarray) else list(knots)
+    if not 1 < len(times_s) <= _KNOTS_MOST or len(times_s) != len(rows):
         raise MotionError(
-            f"joint path: expected 2 to {_KNOTS_MOST} knots and a time for each, got {len(given)} and {len(times_s)}"
+            f"joint path: expected 2 to {_KNOTS_MOST} knots and a time for each, got {len(rows)} and {len(times_s)}"
         )
     try:
-        found = np.array(given, dtype=np.float64)
+        values = np.array(rows, dtype=np.float64)
     except ValueError:  # rows that are not equally long
-        found = np.empty((0, 0))
-    if found.ndim != 3 or not found.shape[2]:
-        count = len(given[0][0]) if len(given) else 0
+        values = np.empty((0, 0))
+    if values.ndim != 3 or not values.shape[2]:
+        count = len(rows[0][0]) if len(rows) else 0
         raise MotionError(f"joint path: expected {count or 'some'} joints in every knot")
     times = np.array(times_s)
-    if not (np.isfinite(times).all() and np.isfinite(found).all()):
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
         raise MotionError("joint path: expected finite numbers in every knot")
     steps = np.diff(times)
-    is_jump = (steps == 0.0) & (found[1:, :2] != found[:-1, :2]).any(axis=(1, 2))
+    is_jump = (steps == 0.0) & (values[1:, :2] != values[:-1, :2]).any(axis=(1, 2))
     if times[0] != 0.0 or (steps < 0.0).any() or is_jump.any() or not steps[[0, -1]].all():
         raise MotionError("joint path: expected times that increase from 0, or twice one time between with one angle and speed")
-    if found[[0, -1], 1].any():
+    if values[[0, -1], 1].any():
         raise MotionError("joint path: expected it to begin and to end at rest")
-    return found
+    return values
 
 
 def quintic(

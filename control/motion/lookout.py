@@ -25,8 +25,8 @@ class Lookout:
     def poses(self, time_s: float) -> list[SetPoint]:
         """The next poses up to AHEAD_s after `time_s` of the motion; empty once all were given. Raises what the motion does."""
         end_s = min(time_s + AHEAD_s, self._motion.duration_s)
-        found: list[SetPoint] = []
-        while self._seen_s < end_s and len(found) < _AT_ONCE:
+        set_points: list[SetPoint] = []
+        while self._seen_s < end_s and len(set_points) < _AT_ONCE:
             self._seen_s = min(self._seen_s + STEP_s, self._motion.duration_s)
-            found.append(self._motion.at(self._seen_s))
-        return found
+            set_points.append(self._motion.at(self._seen_s))
+        return set_points

@@ -94,9 +94,9 @@ class Paced:
 
     def _next_rate(self, wanted: float, elapsed_s: float, joints: Sequence[tuple[float, float, float]]) -> float:
         """By the speed, acceleration and acceleration limit of every joint of every arm."""
-        left = wanted - self.pace
+        gap = wanted - self.pace
         # so that the rate also ends at zero
-        rate = math.copysign(min(RATE_per_s, math.sqrt(2.0 * CURB_per_s2 * abs(left))), left)
+        rate = math.copysign(min(RATE_per_s, math.sqrt(2.0 * CURB_per_s2 * abs(gap))), gap)
         change = CURB_per_s2 * elapsed_s
         rate = min(max(rate, self._rate - change), self._rate + change)
         lower, upper = -math.inf, math.inf

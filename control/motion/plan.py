@@ -143,12 +143,12 @@ def _each(starts: Iterable[following.PathStart], plan: Callable[[following.PathS
     is_any = False
     for start in starts:
         try:
-            found = plan(start)
+            planned = plan(start)
         except ArmError as problem:
             problems.append(problem.with_traceback(None))
             continue
         is_any = True
-        yield found
+        yield planned
     if not is_any:
         raise problems.pop(0)
 
@@ -243,8 +243,8 @@ class _Planner:
         self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples, causes: dict[int, tuple[float, int, str]]
     ) -> Array:
         """How much slower each section has to be (n,); `causes` gets the decisive limit and its place."""
-        found = checks.demands(tip, joints, self._limits, self._arm.limits)
-        stacked = np.stack([demand.factors for demand in found])
+        demands = checks.demands(tip, joints, self._limits, self._arm.limits)
+        stacked = np.stack([demand.factors for demand in demands])
         worst, limit = stacked.max(axis=0), stacked.argmax(axis=0)
         factors = np.zeros(len(spline.times_s) - 1)
         np.maximum.at(factors, tip.section, worst)
@@ -252,7 +252,7 @@ class _Planner:
             sample = int(np.where(tip.section == section, worst, -1.0).argmax())
             _, number = checks.place(self._waypoints, spline.times_s, float(tip.times_s[sample]))
             if factors[section] > causes.get(int(section), (1.0, 0, ""))[0]:
-                causes[int(section)] = (float(factors[section]), number, found[limit[sample]].limit)
+                causes[int(section)] = (float(factors[section]), number, demands[limit[sample]].limit)
         return factors
 
 
@@ -298,8 +298,8 @@ class Beside:
     offsets: CartesianSpline
 
 
-def plan_beside(cell: Cell, name: str, other: str, motion: Motion, offsets: Waypoints, q_near_rad: Sequence[float]) -> Beside:
-    """Plan arm `name` along `offsets` from the tip of arm `other`, which runs `motion` from rest to rest.
+def plan_beside(cell: Cell, name: str, leader: str, motion: Motion, offsets: Waypoints, q_near_rad: Sequence[float]) -> Beside:
+    """Plan arm `name` along `offsets` from the tip of arm `leader`, which runs `motion` from rest to rest.
 
     Both are where they should be to each other if they begin together and the runtime stretches the other's motion to this one's
     time (move_together). ArmError if the path cannot be run.
@@ -308,12 +308,12 @@ def plan_beside(cell: Cell, name: str, other: str, motion: Motion, offsets: Wayp
         raise ArmError("offsets from another tip: expected way-points without orientation (qw,qx,qy,qz)")
     if motion.duration_s <= 0.0:
         raise ArmError(
-            f"arm {other!r} does not move: offsets from a tip at rest are run with `armwright run --relative-to {other}`"
+            f"arm {leader!r} does not move: offsets from a tip at rest are run with `armwright run --relative-to {leader}`"
         )
     way = _way(offsets, motion.duration_s)
     duration_s = way.duration_s
     times_s = _times(way)
-    spline = _sum(cell, name, other, Stretched(motion, duration_s), way, times_s)
+    spline = _sum(cell, name, leader, Stretched(motion, duration_s), way, times_s)
     places = [_place(offsets, way, time_s) for time_s in times_s]
     path, rest, limit = plan_in_time(cell.placed(name).arm, spline, places, q_near_rad)
     return Beside(path, path.duration_s / motion.duration_s, limit, way.stretched(rest))
@@ -330,17 +330,17 @@ def _way(offsets: Waypoints, least_s: float) -> CartesianSpline:
 def _times(way: CartesianSpline) -> list[float]:
     """Even times, and those of the offsets' own knots, where their acceleration steps."""
     count = min(KNOTS_MOST, max(2, round(way.duration_s / STEP_S)))
-    even, own = np.linspace(0.0, way.duration_s, count + 1), np.array(way.times_s[1:-1])
-    is_far = np.abs(even[:, None] - own[None, :]).min(axis=1, initial=np.inf) > 0.1 * STEP_S
+    even, knots_s = np.linspace(0.0, way.duration_s, count + 1), np.array(way.times_s[1:-1])
+    is_far = np.abs(even[:, None] - knots_s[None, :]).min(axis=1, initial=np.inf) > 0.1 * STEP_S
     is_far[[0, -1]] = True
-    return [float(time_s) for time_s in np.sort(np.concatenate((even[is_far], own)))]
+    return [float(time_s) for time_s in np.sort(np.concatenate((even[is_far], knots_s)))]
 
 
-def _sum(cell: Cell, name: str, other: str, motion: Motion, way: CartesianSpline, times_s: Sequence[float]) -> CartesianSpline:
+def _sum(cell: Cell, name: str, leader: str, motion: Motion, way: CartesianSpline, times_s: Sequence[float]) -> CartesianSpline:
     """The tip in this arm's base frame: cubics through place and speed at each time."""
-    own, beside = cell.placed(name), cell.placed(other)
+    follower, beside = cell.placed(name), cell.placed(leader)
     jacobian_at = ForwardKinematics(beside.arm).tip_jacobian
-    turn = np.array(own.rotation).T
+    turn = np.array(follower.rotation).T
     across = turn @ np.array(beside.rotation)
     points: list[Vector] = []
     speeds: list[Vector] = []
@@ -348,7 +348,7 @@ def _sum(cell: Cell, name: str, other: str, motion: Motion, way: CartesianSpline
         state = motion.at(time_s)
         tip, rows = jacobian_at(*state.q_rad)
         offset, speed, _ = way.at(time_s)
-        points += cell.beside_tip(name, other, tip, [offset])
+        points += cell.beside_tip(name, leader, tip, [offset])
         x, y, z = (across @ np.array(rows) @ state.speed_rad_s + turn @ speed).tolist()
         speeds.append((x, y, z))
     return hermite(points, speeds, np.diff(times_s).tolist())

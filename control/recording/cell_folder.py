@@ -33,36 +33,36 @@ def recordings_in(folder: Path) -> list[Recording]:
 
     RecordError if the folder has none, or if they are not of different arms of one cell.
     """
-    found = [Recording.open(path) for path in _earliest(folder)]
-    if not found:
+    recordings = [Recording.open(path) for path in _earliest(folder)]
+    if not recordings:
         raise RecordError(
             f"{folder}: a folder without recordings ({SUFFIX}); `armwright serve --cell` makes one a run, with one file an arm"
         )
-    require_one_cell(found)
-    order = list(_about_cell(found[0]).get("bases") or ())
-    return sorted(found, key=lambda one: order.index(arm_of(one)) if arm_of(one) in order else len(order))
+    require_one_cell(recordings)
+    order = list(_about_cell(recordings[0]).get("bases") or ())
+    return sorted(recordings, key=lambda one: order.index(arm_of(one)) if arm_of(one) in order else len(order))
 
 
 def _earliest(folder: Path) -> list[Path]:
     """The earliest file of each recording: its first ones may have been removed to make room."""
-    found: dict[str, tuple[int, Path]] = {}
+    earliest: dict[str, tuple[int, Path]] = {}
     for path in folder.glob(f"*{SUFFIX}"):
         if named := PART.fullmatch(path.name):
             part = int(named["number"] or 1), path
-            found[named["stem"]] = min(part, found.get(named["stem"], part))
-    return [path for _, path in sorted(found.values(), key=lambda part: part[1])]
+            earliest[named["stem"]] = min(part, earliest.get(named["stem"], part))
+    return [path for _, path in sorted(earliest.values(), key=lambda part: part[1])]
 
 
 def require_one_cell(recordings: Sequence[Recording]) -> None:
     """RecordError unless they are of different arms that one cell's runtime has recorded."""
     names: list[str] = []
-    cells = {str(_about_cell(one).get("name", "")) for one in recordings}
-    for one in recordings:
-        name = arm_of(one)
-        if not _about_cell(one):
-            raise RecordError(f"{one.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone")
+    cells = {str(_about_cell(recording).get("name", "")) for recording in recordings}
+    for recording in recordings:
+        name = arm_of(recording)
+        if not _about_cell(recording):
+            raise RecordError(f"{recording.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone")
         if name in names:
-            raise RecordError(f"{one.path}: expected another arm, got {name!r} again")
+            raise RecordError(f"{recording.path}: expected another arm, got {name!r} again")
         names.append(name)
     if len(cells) > 1:
         raise RecordError(f"{recordings[-1].path}: expected arms of one cell, got those of {', '.join(sorted(cells))}")
@@ -76,14 +76,14 @@ def arm_of(recording: Recording) -> str:
 def recorded_cell(recordings: Sequence[Recording]) -> Cell:
     """The cell as its headers say. RecordError if an arm is unknown, or no base is given for it."""
     placed = []
-    for one in recordings:
+    for recording in recordings:
         try:
-            arm, base = recorded_arm(one), _about_cell(one)["bases"][arm_of(one)]
+            arm, base = recorded_arm(recording), _about_cell(recording)["bases"][arm_of(recording)]
             (x, y, z), (qw, qx, qy, qz) = base["origin_m"], base["orientation"]
         except (LookupError, TypeError, ValueError):
             arm = None
         if arm is None:
-            raise RecordError(f"{one.path}: its header does not say what arm {arm_of(one)!r} is, and where it stands")
+            raise RecordError(f"{recording.path}: its header does not say what arm {arm_of(recording)!r} is, and where it stands")
         placed.append(Placed(arm, (x, y, z), (qw, qx, qy, qz)))
     return Cell(str(_about_cell(recordings[0])["name"]), tuple(placed))
 
@@ -108,9 +108,9 @@ def join(recordings: Sequence[Recording], out: Path, every: int = 1, report: Cal
 
     Modes are numbers, as in the recordings' header; `report` is called every thousand rows.
     """
-    names = [arm_of(one) for one in recordings]
-    columns = [[k for k, name in enumerate(one.layout.names) if name not in SHARED] for one in recordings]
-    titles = [f"{arm}.{one.layout.names[k]}" for arm, one, kept in zip(names, recordings, columns, strict=True) for k in kept]
+    names = [arm_of(log) for log in recordings]
+    columns = [[k for k, name in enumerate(log.layout.names) if name not in SHARED] for log in recordings]
+    titles = [f"{arm}.{log.layout.names[k]}" for arm, log, used in zip(names, recordings, columns, strict=True) for k in used]
     written = 0
     with open_text(out) as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -119,7 +119,7 @@ def join(recordings: Sequence[Recording], out: Path, every: int = 1, report: Cal
             if number % 1000 == 0:
                 report(number)
             if number % every == 0:
-                cells = [row[k] for row, kept in zip(rows, columns, strict=True) for k in kept]
+                cells = [row[k] for row, used in zip(rows, columns, strict=True) for k in used]
                 writer.writerow([cycle, *map(csv_cell, (t_s, *cells))])
                 written += 1
     return written

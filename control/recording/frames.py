@@ -137,13 +137,13 @@ def columns_of(content: Mapping[str, Any], codes: str) -> tuple[StoredColumn, ..
 def in_turn(columns: Sequence[StoredColumn]) -> tuple[int, ...]:
     """Indices of the columns, each after the one that it stands beside; ValueError if there is no such order."""
     turn: list[int] = []
-    left = list(range(len(columns)))
-    while left:
-        ready = [k for k in left if columns[k].beside == NO_COLUMN or columns[k].beside in turn]
+    waiting = list(range(len(columns)))
+    while waiting:
+        ready = [k for k in waiting if columns[k].beside == NO_COLUMN or columns[k].beside in turn]
         if not ready:
             raise ValueError("columns stand beside each other in a circle")
         turn += ready
-        left = [k for k in left if k not in ready]
+        waiting = [k for k in waiting if k not in ready]
     return tuple(turn)
 
 

@@ -278,9 +278,9 @@ def attached_arm(path: Path) -> Arm | None:
 
     try:
         with path.open("rb") as file:
-            for found in make_reader(file).iter_attachments():
-                if found.name == "arm.toml":
-                    return parse_arm(found.data.decode(), path)
+            for attachment in make_reader(file).iter_attachments():
+                if attachment.name == "arm.toml":
+                    return parse_arm(attachment.data.decode(), path)
     except (McapError, ArmError, ValueError, OSError):
         return None
     return None

@@ -44,15 +44,15 @@ def placement(link: Link, q_rad: float, is_standard: bool) -> tuple[Point, Turn]
 
 def transforms(arm: Arm, which: str, q_rad: Sequence[float], time_ns: int) -> list[Message]:
     """The frames of one arm as Foxglove's FrameTransform."""
-    at, parent, joint, found = stamp(time_ns), BASE, 0, []
+    at, parent, joint, messages = stamp(time_ns), BASE, 0, []
     for number, link in enumerate(arm.links, start=1):
         turns = link.joint == "revolute"
         position, turn = placement(link, q_rad[joint] if turns else 0.0, arm.dh_convention == "standard")
         joint += turns
         child = f"{which}/link{number}"
-        found.append(_transform(at, parent, child, position, turn))
+        messages.append(_transform(at, parent, child, position, turn))
         parent = child
-    return [*found, _transform(at, parent, f"{which}/tip", arm.tool.position_m, NO_TURN)]
+    return [*messages, _transform(at, parent, f"{which}/tip", arm.tool.position_m, NO_TURN)]
 
 
 def _transform(at: Message, parent: str, child: str, position_m: Point, turn: Turn) -> Message:

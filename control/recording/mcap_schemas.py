@@ -88,9 +88,9 @@ def schemas_of(joint_count: int) -> dict[str, Schema]:
 def _own_schemas(joint_count: int) -> dict[str, Schema]:
     """Topic -> JSON schema of our own messages, for this number of joints."""
     fields = {**TOPICS, ERROR: (FOLLOWING_ERROR,)}
-    found = {topic: _own(topic, topic_fields, joint_count) for topic, topic_fields in fields.items()}
-    found[LOOP]["properties"]["mode_name"] = {"type": "string", "description": MODE_NAME.meaning}
-    return found
+    schemas = {topic: _own(topic, topic_fields, joint_count) for topic, topic_fields in fields.items()}
+    schemas[LOOP]["properties"]["mode_name"] = {"type": "string", "description": MODE_NAME.meaning}
+    return schemas
 
 
 def columns_of(topic: str, joint_count: int) -> tuple[str, ...]:

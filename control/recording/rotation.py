@@ -102,11 +102,11 @@ class PartFile:
 
     def _write(self, content: bytes, unit_bytes: int, unit_rows: int) -> None:
         """Append units of so many bytes and rows; OSError if not all fit, and then only whole units are kept."""
-        at, left = self.size, content
+        at, rest = self.size, content
         try:
-            while left:
-                written = self._pwrite(self._fd, left, at)
-                at, left = at + written, left[written:]
+            while rest:
+                written = self._pwrite(self._fd, rest, at)
+                at, rest = at + written, rest[written:]
         finally:
             self._unsynced += at - self.size
             units = (at - self.size) // unit_bytes

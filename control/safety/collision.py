@@ -52,12 +52,12 @@ def capsule(start_m: Point, end_m: Point, radius_m: float) -> Capsule:
     return Capsule(x, y, z, dx, dy, dz, dd, radius_m, x + 0.5 * dx, y + 0.5 * dy, z + 0.5 * dz, around_m)
 
 
-def least_gap(one: Sequence[Capsule], other: Sequence[Capsule], pairs: Sequence[tuple[int, int]], within_m: float) -> Nearest:
+def least_gap(first: Sequence[Capsule], second: Sequence[Capsule], pairs: Sequence[tuple[int, int]], within_m: float) -> Nearest:
     """The least gap among `pairs` of capsules, if it is less than `within_m`; else FAR, without looking closely."""
     least, at = within_m, (-1, -1)
     for pair in pairs:
-        px, py, pz, ux, uy, uz, a, r1, gx, gy, gz, g = one[pair[0]]
-        qx, qy, qz, vx, vy, vz, e, r2, hx, hy, hz, h = other[pair[1]]
+        px, py, pz, ux, uy, uz, a, r1, gx, gy, gz, g = first[pair[0]]
+        qx, qy, qz, vx, vy, vz, e, r2, hx, hy, hz, h = second[pair[1]]
         cx, cy, cz, near = gx - hx, gy - hy, gz - hz, least + g + h
         if near < 0.0 or cx * cx + cy * cy + cz * cz > near * near:
             continue  # the spheres about them are not nearer than the nearest so far
@@ -83,10 +83,10 @@ def least_gap(one: Sequence[Capsule], other: Sequence[Capsule], pairs: Sequence[
     return FAR if at[0] < 0 else Nearest(least, *at)
 
 
-def middle(one: Capsule, other: Capsule) -> tuple[float, float, float]:
+def middle(first: Capsule, second: Capsule) -> tuple[float, float, float]:
     """The point halfway between the axes of two capsules, where they are nearest; for messages."""
-    px, py, pz, ux, uy, uz, a, *_ = one
-    qx, qy, qz, vx, vy, vz, e, *_ = other
+    px, py, pz, ux, uy, uz, a, *_ = first
+    qx, qy, qz, vx, vy, vz, e, *_ = second
     wx, wy, wz = px - qx, py - qy, pz - qz
     b = ux * vx + uy * vy + uz * vz
     c = ux * wx + uy * wy + uz * wz
@@ -128,7 +128,7 @@ class ArmBody:
         (ox, oy, oz), ((a, b, c), (d, e, f), (g, h, i)) = self._origin_m, self._rotation
         x, y, z = self._start_m
         last = ox + a * x + b * y + c * z, oy + d * x + e * y + f * z, oz + g * x + h * y + i * z
-        found = [self._base]
+        capsules = [self._base]
         corners, radii_m = self._at(*q_rad), self._radii_m
         tip = len(corners) - 1
         for k, (x, y, z) in enumerate(corners):
@@ -138,11 +138,11 @@ class ArmBody:
                 share = min(1.0, self._tool_m / max(math.dist(last, here), self._tool_m, LEAST_m))
                 (px, py, pz), (qx, qy, qz) = last, here
                 neck = qx + share * (px - qx), qy + share * (py - qy), qz + share * (pz - qz)
-                found.append(capsule(last, neck, radii_m[k]))
+                capsules.append(capsule(last, neck, radii_m[k]))
                 last = neck
-            found.append(capsule(last, here, radii_m[k] if k < tip else 0.0))
+            capsules.append(capsule(last, here, radii_m[k] if k < tip else 0.0))
             last = here
-        return tuple(found)
+        return tuple(capsules)
 
     def _meeting_pairs(self, rest: Capsules) -> tuple[tuple[int, int], ...]:
         """Pairs of the arm's own capsules that may meet: at least two joints between them, and apart in the rest pose.
@@ -153,12 +153,12 @@ class ArmBody:
         return tuple(pair for pair in pairs if not least_gap(rest, rest, (pair,), 0.0).gap_m < 0.0)
 
 
-def pairs_between(one: ArmBody, other: ArmBody) -> tuple[tuple[int, int], ...]:
+def pairs_between(body: ArmBody, neighbour: ArmBody) -> tuple[tuple[int, int], ...]:
     """Pairs of capsules of two arms that must not meet: all but base and base, and the tools, which may touch."""
     return tuple(
         (i, j)
-        for i, first in enumerate(one.names)
-        for j, second in enumerate(other.names)
+        for i, first in enumerate(body.names)
+        for j, second in enumerate(neighbour.names)
         if not (first == second == BASE or first == second == TOOL)
     )
 

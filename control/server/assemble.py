@@ -153,10 +153,10 @@ class CellAssembly:
 
 def assemble_cell(cell: Cell, of_arms: Mapping[str, Assembly]) -> CellAssembly:
     """Put the assembled arms of a cell together."""
-    runtime = CellRuntime(cell, {name: one.runtime for name, one in of_arms.items()})
-    for name, one in of_arms.items():
-        one.requests.beside = runtime.collisions.of_arms[name]
-    requests = CellRequests(cell, runtime, {name: one.requests for name, one in of_arms.items()})
+    runtime = CellRuntime(cell, {name: assembly.runtime for name, assembly in of_arms.items()})
+    for name, assembly in of_arms.items():
+        assembly.requests.beside = runtime.collisions.of_arms[name]
+    requests = CellRequests(cell, runtime, {name: assembly.requests for name, assembly in of_arms.items()})
     return CellAssembly(runtime, requests, of_arms)
 
 
@@ -244,11 +244,11 @@ def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[cross_checks.Lim
     for joint, drive in enumerate(arm.drives):
         if (switches := drive.limit_switches) is None:
             continue
-        for end, pin, side, own in (("lower", switches.lower, -1.0, LOWER_LIMIT), ("upper", switches.upper, 1.0, UPPER_LIMIT)):
+        for end, pin, side, bit in (("lower", switches.lower, -1.0, LOWER_LIMIT), ("upper", switches.upper, 1.0, UPPER_LIMIT)):
             is_home = drive.home is not None and drive.home.switch == end
             if pin:
                 is_high, edge_rad = switches.active == "high", _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
-                flag = own if pin == OWN_INPUT else 0
+                flag = bit if pin == OWN_INPUT else 0
                 says = "its drive's own input" if flag else pin
                 yield cross_checks.LimitSwitch(joint, names[joint], says, side, is_high, is_home, edge_rad, flag)
 

@@ -90,20 +90,20 @@ class CellRequests:
         asked: MoveTogether = decoded(request)
         if len(asked.moves) < 2:
             raise ArmError(f"move_together: expected moves of two arms or more, got {len(asked.moves)}")
-        planned = {self._named(name): one.request(asked.detached) for name, one in asked.moves.items()}
+        planned = {self._named(name): move.request(asked.detached) for name, move in asked.moves.items()}
         for name in planned:
             self._require_possible(name, "move_together")
         paces = {self._runtime.runtimes[name].override for name in planned}
         if len(paces) > 1:
             raise ArmError("move_together: expected the same override for all arms: set one for each")
-        motions = {name: self._prepared(name, one, client) for name, one in planned.items()}
+        motions = {name: self._prepared(name, move, client) for name, move in planned.items()}
         duration_s = max(motion.duration_s for motion in motions.values())
         together: dict[str, Motion] = {name: Stretched(motion, duration_s) for name, motion in motions.items()}
         for name, motion in together.items():
             self._runtime.collisions.of_arms[name].require_clear(motion, together)
         for name, motion in together.items():
             others = [
-                (copy.copy(one), limits_of(self._runtime.runtimes[other])) for other, one in together.items() if other != name
+                (copy.copy(move), limits_of(self._runtime.runtimes[other])) for other, move in together.items() if other != name
             ]
             self._requests[name].begin(motion, planned[name], client, others)
         runs = {name: self._runtime.runtimes[name].run_number for name in together}
@@ -141,18 +141,18 @@ class CellRequests:
         asked = runtimes[arm]
         is_off = asked.monitor.mode in (Mode.OFF, Mode.HELD) or not asked.drives.is_ready
         waits = do in WAITING or (do == "hold" and is_off)
-        if waits and (other := self._runtime.moving_beside(arm)):
-            mode = runtimes[other].monitor.mode.name
+        if waits and (beside := self._runtime.moving_beside(arm)):
+            mode = runtimes[beside].monitor.mode.name
             raise ArmError(
-                f"arm {other!r} is {mode}, so arm {arm!r} cannot {what}: it waits for its boards, and the loop with it; try"
-                f" again when arm {other!r} is at rest"
+                f"arm {beside!r} is {mode}, so arm {arm!r} cannot {what}: it waits for its boards, and the loop with it; try"
+                f" again when arm {beside!r} is at rest"
             )
         if do in BEGINNING:
-            for other, runtime in runtimes.items():
-                if other != arm and runtime.monitor.mode is Mode.HOMING:
-                    raise ArmError(f"arm {other!r} is HOMING, so arm {arm!r} cannot {what}: wait until it is homed")
-        if do in PLANNED and (other := self._runtime.in_fault_beside(arm)):
+            for beside, runtime in runtimes.items():
+                if beside != arm and runtime.monitor.mode is Mode.HOMING:
+                    raise ArmError(f"arm {beside!r} is HOMING, so arm {arm!r} cannot {what}: wait until it is homed")
+        if do in PLANNED and (beside := self._runtime.in_fault_beside(arm)):
             raise ArmError(
-                f"arm {other!r} is in FAULT, so arm {arm!r} cannot {what}: `armwright acknowledge --arm {other}` when it is"
+                f"arm {beside!r} is in FAULT, so arm {arm!r} cannot {what}: `armwright acknowledge --arm {beside}` when it is"
                 " safe; jogs and hand guiding are free"
             )

@@ -138,12 +138,12 @@ def require_own_runtime(connection: socket.socket, path: Path) -> None:
 
 def require_private(folder: Path) -> None:
     """ForeignFolder unless the folder is this user's, a real one, and nobody else may write to it. OSError if there is none."""
-    found = folder.lstat()
-    mode = stat.S_IMODE(found.st_mode)
-    if not stat.S_ISDIR(found.st_mode):
+    status = folder.lstat()
+    mode = stat.S_IMODE(status.st_mode)
+    if not stat.S_ISDIR(status.st_mode):
         problem = "it is a link or a file, not a folder"
-    elif found.st_uid != os.getuid():
-        problem = f"it belongs to user {found.st_uid}, not to you ({os.getuid()})"
+    elif status.st_uid != os.getuid():
+        problem = f"it belongs to user {status.st_uid}, not to you ({os.getuid()})"
     elif mode & 0o022:
         problem = f"others may write to it (mode {mode:o})"
     else:
@@ -196,12 +196,12 @@ def find_sockets(arm_name: str = "*") -> list[Path]:
 
 def running_arms() -> list[str]:
     """Names of this user's arms whose runtimes answer at their default sockets."""
-    found = []
+    names = []
     for path in find_sockets():
         with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
             if path.parent in socket_folders() and probe.connect_ex(str(path)) == 0:
-                found.append(path.stem)
-    return sorted(found)
+                names.append(path.stem)
+    return sorted(names)
 
 
 def _own_folders() -> Iterator[Path]:

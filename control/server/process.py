@@ -222,10 +222,10 @@ def _served(cell: Cell, arms: Mapping[str, _Begun], period_s: float, about: Mapp
     assemblies = {}
     for name, begun in arms.items():
         opened = begun.connection
-        one = assemble(begun.arm, opened.hardware, period_s, opened.camera, begun.sink, about=about, strain=strain)
+        assembly = assemble(begun.arm, opened.hardware, period_s, opened.camera, begun.sink, about=about, strain=strain)
         prefix = f"{name}: " if len(arms) > 1 else ""
-        begun.events = one.requests.events = Events(one.runtime, partial(_say, printer, prefix))
-        assemblies[name] = one
+        begun.events = assembly.requests.events = Events(assembly.runtime, partial(_say, printer, prefix))
+        assemblies[name] = assembly
     return assemble_cell(cell, assemblies) if len(arms) > 1 else assemblies[cell.names[0]]
 
 
@@ -258,9 +258,9 @@ def run(served: Served, server: Server, clock: Clock, period_s: float, events: S
         if asked_to_end:
             asked_to_end.clear()
             runtime.go_off(quits=True)
-        for one in events:
-            if one is not None:
-                one.look()
+        for arm_events in events:
+            if arm_events is not None:
+                arm_events.look()
         if runtime.ended_wait(clock.now_s()) | collector.look(clock.now_s(), runtime):
             beat.restart()
     if failure is not None:

@@ -128,9 +128,9 @@ class Server:
         self._numbers = 0
         self._stops = 0
         self._under_way: UnderWay | None = None
-        for one in paths.values():
-            require_free(one)
-        self._listeners = [ListeningSocket(arm, one, listen(one)) for arm, one in paths.items()]
+        for socket_path in paths.values():
+            require_free(socket_path)
+        self._listeners = [ListeningSocket(arm, socket_path, listen(socket_path)) for arm, socket_path in paths.items()]
         self._selector = selectors.DefaultSelector()
         for listener in self._listeners:
             self._selector.register(listener.socket, selectors.EVENT_READ, listener)
@@ -368,10 +368,10 @@ def _value(raw: msgspec.Raw) -> Steps:
     text = bytes(raw).strip()
     try:
         if text[:1] == b"{":
-            found: dict[str, Any] = {}
+            members: dict[str, Any] = {}
             for name, inner in _OBJECT.decode(text).items():
-                found[name] = yield from _value(inner)
-            return found
+                members[name] = yield from _value(inner)
+            return members
         if text[:1] == b"[" and len(text) > SLICE_bytes and b'"' not in text:
             return (yield from _numbers(text[1:-1].strip()))
         if len(text) > WORDS_bytes:

@@ -135,7 +135,7 @@ class DynamixelServo(SmartServo):
         self.model_name, self.bears_V = MODELS[self.model], (lowest_100mV * 0.1, highest_100mV * 0.1)
         self._current_unit_A = CURRENT_UNIT_A.get(self.model, math.nan)
         self._mode = mode
-        for is_right, expected, found, remedy in (
+        for is_right, expected, got, remedy in (
             (
                 firmware >= WATCHDOG_SINCE or self.model in SMALL or not firmware,
                 f"firmware {WATCHDOG_SINCE} or newer (bus watchdog)",
@@ -146,7 +146,7 @@ class DynamixelServo(SmartServo):
             (not startup & TORQUE_AT_POWER_UP, "no torque at power-up (register 60, bit 0)", f"{startup} there", "set it to 0"),
         ):
             if not is_right:
-                raise WrongIdentity(f"{self.where}: expected {expected}, it is {found}: {remedy} with Dynamixel Wizard")
+                raise WrongIdentity(f"{self.where}: expected {expected}, it is {got}: {remedy} with Dynamixel Wizard")
         if level != ALL_ANSWERED:
             self._require_answers(f"status return level {ALL_ANSWERED} (register 68)", level, LED, "Dynamixel Wizard")
         self.return_delay_s = delay * DELAY_STEP_s

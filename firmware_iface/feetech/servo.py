@@ -107,12 +107,12 @@ class FeetechServo(SmartServo):
                 f"{self.where}: expected an STS, model {known} or another {SERIES}.x, it is model {model}"
                 f" ({model & 0xFF}.{model >> 8})"
             )
-        for what, is_right, expected, found in (
+        for what, is_right, expected, got in (
             ("mode", mode == 0, "0 (position)", mode),
             ("angular resolution (register 30)", resolution <= 1, f"1 ({COUNTS_PER_TURN} counts a turn)", resolution),
         ):
             if not is_right:
-                raise WrongIdentity(f"{self.where}: expected {what} {expected}, it is {found}: set it with Feetech's FD tool")
+                raise WrongIdentity(f"{self.where}: expected {what} {expected}, it is {got}: set it with Feetech's FD tool")
         if level != ALL_ANSWERED:
             self._require_answers(f"response level {ALL_ANSWERED} (register 8)", level, ACCELERATION, "Feetech's FD tool")
         self.model_name, self.bears_V = MODELS.get(model, ""), (lowest_100mV * 0.1, highest_100mV * 0.1)

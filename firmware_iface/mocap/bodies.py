@@ -159,18 +159,18 @@ class LeapWatch:
 
     def _exchanged(self, seen: dict[str, RigidPose]) -> set[str]:
         """Pairs of bodies that are now where the other one was, however small the leap."""
-        found: set[str] = set()
+        exchanged: set[str] = set()
         known = [name for name in seen if name in self._last]
-        for one, other in itertools.combinations(known, 2):
-            here_m, there_m = (self._last[name][1].position_m for name in (one, other))
+        for first, second in itertools.combinations(known, 2):
+            here_m, there_m = (self._last[name][1].position_m for name in (first, second))
             apart_m = math.dist(here_m, there_m)
             if apart_m > CLOSEST_m and all(
                 math.dist(seen[name].position_m, place_m) < NEAR * apart_m
                 and math.dist(seen[name].position_m, own_m) > NEAR * apart_m
-                for name, own_m, place_m in ((one, here_m, there_m), (other, there_m, here_m))
+                for name, own_m, place_m in ((first, here_m, there_m), (second, there_m, here_m))
             ):
-                found |= {one, other}
-        return found
+                exchanged |= {first, second}
+        return exchanged
 
     def _judge(self, name: str, seen: dict[str, RigidPose], leapt: set[str], number: int) -> None:
         """Whether a leap led away or back, and whom the body was mistaken for."""
@@ -180,15 +180,15 @@ class LeapWatch:
             self._why.pop(name, None)
             del self._before[name]
             return
-        other = next(
+        twin = next(
             (
-                one
-                for one in sorted(leapt)
-                if one != name and math.dist(pose.position_m, self._last[one][1].position_m) < NEAR * way_m
+                candidate
+                for candidate in sorted(leapt)
+                if candidate != name and math.dist(pose.position_m, self._last[candidate][1].position_m) < NEAR * way_m
             ),
             "",
         )
-        what = f"and {other} exchanged their names" if other else f"leapt by {1e3 * way_m:.0f} mm"
+        what = f"and {twin} exchanged their names" if twin else f"leapt by {1e3 * way_m:.0f} mm"
         self._before.setdefault(name, last)
         self._why[name] = f"body {name} {what} at frame {number}: cover it for a moment so that it is found anew"
 

@@ -254,10 +254,10 @@ class NatNetStream:
         self._commands.send(packet, self._server_port)
 
     def _received(self) -> list[BodyFrame]:
-        found = [self._taken(packet) for packet in self._commands.datagrams()]
+        frames = [self._taken(packet) for packet in self._commands.datagrams()]
         if self._data is not None:
-            found += [self._taken(packet) for packet in self._data.datagrams()]
-        return [frame for frame in found if frame is not None]
+            frames += [self._taken(packet) for packet in self._data.datagrams()]
+        return [frame for frame in frames if frame is not None]
 
     def _taken(self, packet: bytes) -> BodyFrame | None:
         """Act on a packet; returns the frame if it is one. What cannot be read is counted."""

@@ -53,16 +53,16 @@ class Packets:
     def feed(self, received: bytes) -> list[tuple[int, bytes]]:
         """Kind and content of each packet that is complete. Malformed for a size that no packet has."""
         self._buffer += received
-        found = []
+        packets = []
         while len(self._buffer) >= HEADER.size:
             size, kind = HEADER.unpack_from(self._buffer)
             if not HEADER.size <= size <= LONGEST_bytes:
                 raise Malformed
             if len(self._buffer) < size:
                 break
-            found.append((kind, self._buffer[HEADER.size : size]))
+            packets.append((kind, self._buffer[HEADER.size : size]))
             self._buffer = self._buffer[size:]
-        return found
+        return packets
 
 
 def command(text: str) -> bytes:
@@ -211,14 +211,14 @@ class QtmStream:
             raise LinkLost(f"{self.name}: lost: {problem}") from None
 
     def _received(self) -> list[BodyFrame]:
-        found: list[BodyFrame] = []
+        frames: list[BodyFrame] = []
         while (part := self._part()) is not None:
             try:
                 packets = self._packets.feed(part)
             except Malformed:
                 raise LinkLost(f"{self.name}: sends packets of impossible sizes: is it QTM's little-endian port?") from None
-            found += [frame for kind, content in packets if (frame := self._taken(kind, content)) is not None]
-        return found
+            frames += [frame for kind, content in packets if (frame := self._taken(kind, content)) is not None]
+        return frames
 
     def _part(self) -> bytes | None:
         try:

@@ -99,9 +99,9 @@ class Moteus(NodeBoard):
             )
         self.await_status(is_asked_only=True)
         words = [int(known.get(Register.SERIAL + k, 0)) & 0xFFFF_FFFF for k in (2, 1, 0)]
-        said = f"firmware 0x{int(known.get(Register.FIRMWARE, 0)):06x}, serial number {''.join(f'{word:08x}' for word in words)}"
+        text = f"firmware 0x{int(known.get(Register.FIRMWARE, 0)):06x}, serial number {''.join(f'{word:08x}' for word in words)}"
         lacks = [f"0x{register:03X}" for register in (Register.AUX1_INPUTS, Register.MILLISECONDS) if register in self._unknown]
-        return said + (f", without registers {', '.join(lacks)}" if lacks else "")
+        return text + (f", without registers {', '.join(lacks)}" if lacks else "")
 
     def setting(self, name: str) -> float:
         """A setting by its name in tview; NaN, too, if its firmware has none of this name. BoardSilent, WrongIdentity."""
@@ -110,13 +110,13 @@ class Moteus(NodeBoard):
                 f"{self.where}: expected a console that answers, it goes on talking (telemetry?): `tel stop` in tview"
             )
         self._bus.send(wire.say(self.number, f"conf get {name}\n".encode()))
-        said = b""
+        answer = b""
         for _ in range(TEXT_ANSWERS):
-            said += self._said()
-            if b"\n" in said:
+            answer += self._said()
+            if b"\n" in answer:
                 break
         try:
-            return float(said)
+            return float(answer)
         except ValueError:
             return math.nan
 
@@ -164,11 +164,11 @@ class Moteus(NodeBoard):
             if (text := wire.text_in(payload)) is not None:
                 self._text = text
                 return
-            found = wire.values(payload)
-            if Register.MODE not in found:  # to our question who it is, or to one of another program
-                self._identity = found if not found or found.keys() & _IDENTITY else self._identity
+            registers = wire.values(payload)
+            if Register.MODE not in registers:  # to our question who it is, or to one of another program
+                self._identity = registers if not registers or registers.keys() & _IDENTITY else self._identity
                 return
-            problem = self._measured(found, now_s)
+            problem = self._measured(registers, now_s)
         except (ValueError, OverflowError, KeyError, struct.error) as error:
             problem = ProtocolViolation(
                 f"{self.where}: a reply of {len(payload)} bytes cannot be read ({error}): check its firmware"
@@ -176,17 +176,17 @@ class Moteus(NodeBoard):
         if problem is not None:
             self._bus.problems.append(problem)
 
-    def _measured(self, found: dict[int, float], now_s: float) -> LinkError | None:
-        self.count = round(found[Register.POSITION] * self.counts_per_turn)
-        self.mode, self.fault = int(found[Register.MODE]), int(found[Register.FAULT])
+    def _measured(self, registers: dict[int, float], now_s: float) -> LinkError | None:
+        self.count = round(registers[Register.POSITION] * self.counts_per_turn)
+        self.mode, self.fault = int(registers[Register.MODE]), int(registers[Register.FAULT])
         self._look_for_others()
-        self.current_A = found[Register.Q_CURRENT]
-        self.supply_V = 0.1 * found[Register.VOLTAGE]
-        self.temperature_degC = found[Register.TEMPERATURE]
-        self._unknown = OPTIONAL - found.keys()
-        self.is_switch_on = bool(int(found.get(Register.AUX1_INPUTS, 0)) & 1)
+        self.current_A = registers[Register.Q_CURRENT]
+        self.supply_V = 0.1 * registers[Register.VOLTAGE]
+        self.temperature_degC = registers[Register.TEMPERATURE]
+        self._unknown = OPTIONAL - registers.keys()
+        self.is_switch_on = bool(int(registers.get(Register.AUX1_INPUTS, 0)) & 1)
         self.at_s, self.counted_at_s = now_s, self._bus.sent_at_s
-        if Register.MILLISECONDS in found and self._has_restarted(int(found[Register.MILLISECONDS]), now_s):
+        if Register.MILLISECONDS in registers and self._has_restarted(int(registers[Register.MILLISECONDS]), now_s):
             self.resets += 1
             self.wanted = wire.brake(self.number)
             return BoardReset(f"{self.where}: restarted by itself; its motor was free: check its supply and cable")

@@ -296,16 +296,16 @@ class MotorBoard:
                 f"{self.where}: speaks protocol version {protocol}, expected {wire.PROTOCOL_VERSION}; "
                 "update the board's firmware or this program"
             )
-        found = self.read(MotorParameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
+        actual_number = self.read(MotorParameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
         self._parameters.require_single_board(MotorParameter.BOARD_SERIAL_NUMBER)
-        if serial_number is not None and found != serial_number:
+        if serial_number is not None and actual_number != serial_number:
             raise WrongIdentity(
-                f"{self.where}: expected the board with serial number {serial_number}, found {found}; "
+                f"{self.where}: expected the board with serial number {serial_number}, found {actual_number}; "
                 "check for swapped boards or node ids"
             )
         firmware = self.read(MotorParameter.FIRMWARE_VERSION)
         counts = self.read(MotorParameter.ENCODER_COUNTS_PER_TURN)
-        self.identity = MotorIdentity(protocol, found, firmware, counts)
+        self.identity = MotorIdentity(protocol, actual_number, firmware, counts)
         return self.identity
 
     def read(self, index: int) -> int:
@@ -426,15 +426,15 @@ class DigitalPins:
     def require(self, count: int) -> None:
         """WrongIdentity unless the board has at least `count` pins; BoardSilent if it does not answer."""
         try:
-            found = self.board.read(MotorParameter.DIGITAL_PINS)
+            pins = self.board.read(MotorParameter.DIGITAL_PINS)
         except BoardRefused:
             raise WrongIdentity(
                 f"{self.board.where}: has no digital pins, or a firmware that does not know them (parameter 48): remove its"
                 " [[digital]] from arm.toml, or update it"
             ) from None
-        if found < count:
+        if pins < count:
             raise WrongIdentity(
-                f"{self.board.where}: has {found} digital pins, 0 to {found - 1}, but arm.toml names pin {count - 1}"
+                f"{self.board.where}: has {pins} digital pins, 0 to {pins - 1}, but arm.toml names pin {count - 1}"
             )
 
     def configure(self, outputs: int, safe_levels: int, safe_keep: int) -> None:

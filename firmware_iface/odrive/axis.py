@@ -85,10 +85,10 @@ class OdriveAxis(UnaskedBoard):
         """The input, which feeds the axis's watchdog too; before it matters, what changes its meaning and the state."""
         if self._wanted is None:
             return []
-        control, given = self._input
+        control, input_frame = self._input
         now_s = self._bus.clock.now_s()
         asks = self.state != self._wanted and now_s - self._asked_s > ASK_AGAIN_s
-        frames = [given]  # comes first: a new mode then never begins with an old input
+        frames = [input_frame]  # comes first: a new mode then never begins with an old input
         if self._control is not control or asks:
             frames.append(wire.controller_mode(self.node, control))
             self._control = control

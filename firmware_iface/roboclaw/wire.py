@@ -102,10 +102,10 @@ QUADRATURE_ONLY: Final = 0x9F  # of an encoder mode: neither absolute nor RC/ana
 
 def status(data: bytes) -> RoboclawStatus:
     """Data of READ_STATUS, of either firmware."""
-    said = int.from_bytes(data, "big")
+    flags = int.from_bytes(data, "big")
     if len(data) == STATUS_BYTES[0]:
-        said = sum(bit for older, bit in _OLDER_STATUS if said & older)
-    return RoboclawStatus(said)
+        flags = sum(bit for older, bit in _OLDER_STATUS if flags & older)
+    return RoboclawStatus(flags)
 
 
 def command_packet(address: int, command: int, data: bytes = b"") -> bytes:

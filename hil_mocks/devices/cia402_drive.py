@@ -223,12 +223,12 @@ class Cia402Mock:
 
     def _segment(self, toggle: int) -> bytes:
         """The next seven bytes of what is read."""
-        expected, left = self._segments
-        if toggle != expected or not left:
+        expected, unread = self._segments
+        if toggle != expected or not unread:
             return struct.pack("<BHBI", 0x80, 0, 0, TOGGLE)
-        piece, left = left[:7], left[7:]
-        self._segments = (expected ^ 0x10, left)
-        return bytes((expected | (7 - len(piece)) << 1 | (not left),)) + piece.ljust(7, b"\0")
+        piece, unread = unread[:7], unread[7:]
+        self._segments = (expected ^ 0x10, unread)
+        return bytes((expected | (7 - len(piece)) << 1 | (not unread),)) + piece.ljust(7, b"\0")
 
     def _download(self, command: int, at: int, sub: int, kind: str, data: bytes) -> int:
         """Write an object; returns an abort code, 0 if it is done."""

@@ -209,7 +209,7 @@ class DynamixelMock:
             self.table[address] = value
         self.power_up()
 
-    def _deliver(self, kept: tuple[int, ...]) -> None:
+    def _deliver(self, spared: tuple[int, ...]) -> None:
         """All that is stored as at delivery, but for some addresses."""
         before, self.table[:STORED_END] = bytes(self.table), initial(0)[:STORED_END]
         struct.pack_into("<H", self.table, 0, self.setup.model)
@@ -217,7 +217,7 @@ class DynamixelMock:
         for address in (MIN_VOLTAGE, MAX_VOLTAGE):
             limit = value(self.table, address) * self.setup.supply_V / NOMINAL_V
             struct.pack_into("<H", self.table, address, round(limit))
-        for address in kept:
+        for address in spared:
             self.table[address] = before[address]
 
     def power_up(self, now_s: float = 0.0) -> None:
@@ -445,10 +445,10 @@ class DynamixelLineMock:
         asked = list(_read_at_once(instruction, parameters))
         chain = _header(BROADCAST, 1 + sum(count + 4 for *_, count in asked)) + b"\x55"
         for which, address, count in asked:
-            said = self._read(which, address, count, now_s)
-            if said is None:
+            status = self._read(which, address, count, now_s)
+            if status is None:
                 break
-            _, error, data = said
+            _, error, data = status
             chain = _with_crc(chain + bytes((error, which)) + data.ljust(count, b"\0"))
         return chain if len(chain) > 8 else None
 

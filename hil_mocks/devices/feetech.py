@@ -284,9 +284,9 @@ class FeetechLineMock:
             yield asked.delay_s, status
 
 
-def _collided(one: bytes, other: bytes) -> bytes:
+def _collided(first: bytes, second: bytes) -> bytes:
     """What is heard of two that speak at once: a 0 wins."""
-    return bytes(a & b for a, b in zip(one, other, strict=True))
+    return bytes(a & b for a, b in zip(first, second, strict=True))
 
 
 def _signed(raw: int) -> int:

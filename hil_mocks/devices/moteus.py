@@ -218,13 +218,13 @@ class MoteusMock:
                 self._says += self._said(*line.decode().split())
             return b""
         if kind == ASK_FLOW and acknowledged != self._flow[0]:
-            said = self._flow[1]
+            text = self._flow[1]
         else:
             length = min(length, FD_LENGTHS[-1] - FLOW_HEAD)
-            said, self._says = self._says[:length], self._says[length:]
-            self._flow = (self._flow[0] % 255 + 1, said) if kind == ASK_FLOW else self._flow
+            text, self._says = self._says[:length], self._says[length:]
+            self._flow = (self._flow[0] % 255 + 1, text) if kind == ASK_FLOW else self._flow
         head = bytes((TEXT_FROM, 1)) if kind == ASK_TEXT else bytes((FLOW_FROM, 1, self._flow[0]))
-        return head + bytes((len(said),)) + said
+        return head + bytes((len(text),)) + text
 
     def _said(self, *words: str) -> bytes:
         """To a line typed to its console."""
@@ -267,9 +267,9 @@ class MoteusMock:
         elif mode == BRAKED:
             self.mode, self._expires_s = BRAKED, math.inf
         elif mode in DRIVEN:
-            given = {SHADOWS.get(register, register): value for register, value in written.items()}
+            commanded = {SHADOWS.get(register, register): value for register, value in written.items()}
             unsaid = {} if mode == POSITION else {0x020: math.nan}
-            self._control(mode, COMMAND | unsaid | given, self._now_s)
+            self._control(mode, COMMAND | unsaid | commanded, self._now_s)
 
     def _set_output(self, turns: float, is_nearest: bool) -> None:
         """The position is this from now on; `is_nearest`: by whole turns of the rotor, which is the output here."""

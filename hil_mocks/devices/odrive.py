@@ -116,36 +116,36 @@ class OdriveMock:
         elif is_remote:
             self._tell(command)
 
-    def _obey(self, command: int, given: tuple[Any, ...], payload: bytes, now_s: float) -> None:
+    def _obey(self, command: int, values: tuple[Any, ...], payload: bytes, now_s: float) -> None:
         motor = self._motor
         match command:
             case _ if command == STATE:
-                self._ask(given[0], now_s)
+                self._ask(values[0], now_s)
             case _ if command == MODE:
-                self.control, self._input_mode = given
+                self.control, self._input_mode = values
                 motor.ramp_turns_s = 0.0
             case _ if command == POSITION:
-                self._target, motor.goal_turns_s, self._torque_Nm = given[0], 1e-3 * given[1], 1e-3 * given[2]
+                self._target, motor.goal_turns_s, self._torque_Nm = values[0], 1e-3 * values[1], 1e-3 * values[2]
             case _ if command == VELOCITY:
-                motor.goal_turns_s, self._torque_Nm = given
+                motor.goal_turns_s, self._torque_Nm = values
             case _ if command == TORQUE:
-                (self._torque_Nm,) = given
+                (self._torque_Nm,) = values
             case _ if command == LIMITS:
-                self._limit_turns_s, self.limit_A = given
+                self._limit_turns_s, self.limit_A = values
             case _ if command in self._trajectory:
-                self._trajectory[command] = given
+                self._trajectory[command] = values
             case _ if command == POSITION_GAIN:
-                (motor.position_rate,) = given
+                (motor.position_rate,) = values
             case _ if command == ABSOLUTE:
-                self._shift_turns += given[0] - motor.turns
+                self._shift_turns += values[0] - motor.turns
                 motor.turns = self._read_turns()
             case _ if command == WRITE_SDO:
-                is_write, endpoint, value = given
+                is_write, endpoint, value = values
                 if is_write:
                     self.endpoints[endpoint] = value
                 self._send(READ_SDO, struct.pack("<BHx4s", 0, endpoint, self.endpoints.get(endpoint, bytes(4))))
-            case _ if command == ADDRESS and given[1] == self.setup.serial:
-                self.node = given[0]
+            case _ if command == ADDRESS and values[1] == self.setup.serial:
+                self.node = values[0]
             case _ if command == ESTOP:
                 self._disarm(STOPPED)
             case _ if command == CLEAR:

@@ -375,10 +375,10 @@ class RoboClawMock:
         (default,) = struct.unpack_from(">H", self.settings[DEFAULT_SPEEDS], 2 * channel)
         wanted = float(movement.get("v", default) or most)
         if not movement.keys().isdisjoint("dp%"):
-            left = self._left(channel)
+            way_counts = self._left(channel)
             slowing = movement.get("f", movement.get("a", 0)) or math.inf
-            top = math.sqrt(2.0 * slowing * abs(left)) if left else 0.0
-            wanted = math.copysign(min(abs(wanted), POSITION_RATE * abs(left), top), left)
+            top = math.sqrt(2.0 * slowing * abs(way_counts)) if way_counts else 0.0
+            wanted = math.copysign(min(abs(wanted), POSITION_RATE * abs(way_counts), top), way_counts)
         faster = (movement.get("a", 0) or math.inf) * step_s
         self._set_speeds[channel] += min(max(wanted - self._set_speeds[channel], -faster), faster)
         error = self._set_speeds[channel] - self.speeds[channel]
@@ -457,13 +457,13 @@ class RoboClawMock:
     def _move(self, carried: str, values: tuple[Any, ...]) -> None:
         """Begin a movement, or let it wait for the end of the one that lasts."""
         commanded: dict[int, Movement] = {}
-        given = iter(values)
+        operands = iter(values)
         channels: tuple[int, ...] = ()
         for letter in carried:
             if letter.isdigit():
                 channels = ((0,), (1,), (0, 1))[int(letter)]
                 continue
-            value = next(given)
+            value = next(operands)
             for channel in channels:
                 commanded.setdefault(channel, {})[letter] = value
         for channel, movement in commanded.items():

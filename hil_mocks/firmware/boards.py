@@ -88,10 +88,10 @@ class EncoderBoardFirmware(EncoderBoardHardware):
         self._built = setup = self.setup
         self.is_line_blocked = False  # nothing leaves the board: frames wait in its queue
         channels = len(setup.counts_per_turn)
-        given = _EncoderSetup(
+        c_setup = _EncoderSetup(
             setup.serial_number, setup.baud, (*setup.counts_per_turn,), setup.firmware, channels, setup.encoder_bits
         )
-        self._code.aw_encoder_init(self._board, ctypes.byref(given), self._inputs(0, self._latched()))
+        self._code.aw_encoder_init(self._board, ctypes.byref(c_setup), self._inputs(0, self._latched()))
         self._take(0, now_s)
 
     def receive(self, received: bytes, now_s: float) -> None:
@@ -270,7 +270,7 @@ class MotorBoardFirmware(motor_inputs.MotorBoardHardware):
 
     def _boot(self) -> None:
         self._built = setup = self.setup
-        given = _MotorSetup(
+        c_setup = _MotorSetup(
             setup.serial_number,
             setup.counts_per_turn,
             setup.rating_mA,
@@ -284,7 +284,7 @@ class MotorBoardFirmware(motor_inputs.MotorBoardHardware):
             setup.reset_cause,
         )
         self._look(0.0)
-        self._code.aw_motor_init(self._board, ctypes.byref(given), self._at[0])
+        self._code.aw_motor_init(self._board, ctypes.byref(c_setup), self._at[0])
         self._obey()
 
     def _period(self, now_s: float, step_s: float) -> list[motor_inputs.Frame]:

@@ -107,13 +107,13 @@ def build(arms: Sequence[ArmToBuild]) -> list[PlantModel]:
 
     Gravity and time step are those of the first arm; gravity of an arm.toml is in the arm's own base frame.
     """
-    builders = [_Builder(one) for one in arms]
+    builders = [_Builder(design) for design in arms]
     is_alone = len(builders) == 1 and arms[0].standing == Standing()
     spec = builders[0].specified() if is_alone else _world(builders)
     try:
         model = spec.compile()
     except ValueError as error:
-        names = ", ".join(f'"{one.arm.name}"' for one in arms)
+        names = ", ".join(f'"{design.arm.name}"' for design in arms)
         raise MockError(f"arm {names}: MuJoCo cannot build it: {error}") from error
     return [builder.located(model) for builder in builders]
 
@@ -147,11 +147,11 @@ def _set_options(spec: Any, timestep_s: float, gravity_m_s2: Any) -> None:
 class _Builder:
     """Collects the elements of a specification and their indices; for a single use."""
 
-    def __init__(self, one: ArmToBuild) -> None:
-        self._arm, self._effects, self.standing = one.arm, one.effects, one.standing
-        self.timestep_s, self._margin_rad = one.timestep_s, one.end_stop_margin_rad
+    def __init__(self, design: ArmToBuild) -> None:
+        self._arm, self._effects, self.standing = design.arm, design.effects, design.standing
+        self.timestep_s, self._margin_rad = design.timestep_s, design.end_stop_margin_rad
         self._spec = mujoco.MjSpec()
-        self._drives = Transmissions(self._spec, one.arm, one.effects, one.timestep_s, one.link_share)
+        self._drives = Transmissions(self._spec, design.arm, design.effects, design.timestep_s, design.link_share)
         self._bends: list[str] = []
         self._end_shift_m: Matrix = np.zeros(3)
 
@@ -221,12 +221,12 @@ class _Builder:
         """Split a bending link: `near` is its near half; returns its far half, on two slides and two hinges."""
         mass, com_m, inertia = self._mass_of(i)
         parts = split_mass(bent, mass, com_m)
-        left = remaining_inertia(inertia, com_m, parts)
+        remaining_kg_m2 = remaining_inertia(inertia, com_m, parts)
         far = near.add_body(name=f"link{i + 1}far", pos=bent.middle_m)
         for body, part, origin_m in ((near, parts[0], np.zeros(3)), (far, parts[1], bent.middle_m)):
             body.explicitinertial = True
             body.mass, body.ipos = max(part.mass_kg, _LEAST_KG), part.place_m - origin_m
-            body.inertia = 0.5 * left
+            body.inertia = 0.5 * remaining_kg_m2
         kinds = mujoco.mjtJoint
         for kind, stiffness in ((kinds.mjJNT_SLIDE, bent.slide_N_m), (kinds.mjJNT_HINGE, bent.hinge_Nm_rad)):
             for k, axis in enumerate(bent.across):

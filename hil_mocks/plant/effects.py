@@ -143,35 +143,35 @@ def gather(entries: Sequence[EffectEntry], joints: int, links: int, where: str) 
 
     Raises ScenarioError for invalid entries; `where` names the file.
     """
-    found = PlantEffects(joints=(JointEffects(),) * joints)
+    effects = PlantEffects(joints=(JointEffects(),) * joints)
     for entry in entries:
-        found = _add(found, entry, joints, links, f'{where}: effect "{entry.effect}"')
-    return found
+        effects = _add(effects, entry, joints, links, f'{where}: effect "{entry.effect}"')
+    return effects
 
 
-def _add(found: PlantEffects, entry: EffectEntry, joints: int, links: int, where: str) -> PlantEffects:
+def _add(effects: PlantEffects, entry: EffectEntry, joints: int, links: int, where: str) -> PlantEffects:
     name = entry.effect
     if name in _OF_JOINT:
         _check_index(entry.joint, joints, "joint", where)
         values = _renamed(entry, _OF_JOINT[name], where)
         at = entry.joint - 1
-        changed = replace(found.joints[at], **values)
-        return replace(found, joints=(*found.joints[:at], changed, *found.joints[at + 1 :]))
+        changed = replace(effects.joints[at], **values)
+        return replace(effects, joints=(*effects.joints[:at], changed, *effects.joints[at + 1 :]))
     if name in _OF_ARM:
         if name == "belt_coupling" and joints < 3:
             raise ScenarioError(f"{where}: couples joint 3 to joint 2, but the arm has {joints} joints.")
         (value,) = _renamed(entry, _OF_ARM[name], where).values()
-        return _with_of_arm(found, name, value)
+        return _with_of_arm(effects, name, value)
     if name == "link_inertia":
-        return _add_inertia(found, entry, links, where)
+        return _add_inertia(effects, entry, links, where)
     if name == "link_geometry":
-        return replace(found, dh_deviation={**found.dh_deviation, **deviations(entry.parameters, links, where)})
+        return replace(effects, dh_deviation={**effects.dh_deviation, **deviations(entry.parameters, links, where)})
     if name == "link_flexure":
         _check_index(entry.joint, links, "link", where)
         (EI_Nm2,) = _renamed(entry, {"EI_Nm2": "EI_Nm2"}, where).values()
-        return replace(found, link_EI_Nm2={**found.link_EI_Nm2, entry.joint - 1: EI_Nm2})
+        return replace(effects, link_EI_Nm2={**effects.link_EI_Nm2, entry.joint - 1: EI_Nm2})
     if name == "base_frame":
-        return replace(found, base_pose=_base_pose(entry, where))
+        return replace(effects, base_pose=_base_pose(entry, where))
     raise ScenarioError(f"{where} is unknown; known are {', '.join(sorted(KNOWN))}.")
 
 
@@ -183,16 +183,16 @@ def _base_pose(entry: EffectEntry, where: str) -> BasePose:
     return BasePose((x, y, z), (rx, ry, rz))
 
 
-def _with_of_arm(found: PlantEffects, name: str, value: float) -> PlantEffects:
+def _with_of_arm(effects: PlantEffects, name: str, value: float) -> PlantEffects:
     match name:
         case "belt_coupling":
-            return replace(found, belt_ratio=value)
+            return replace(effects, belt_ratio=value)
         case "payload":
-            return replace(found, payload_kg=value)
+            return replace(effects, payload_kg=value)
         case "command_delay":
-            return replace(found, command_delay_s=value)
+            return replace(effects, command_delay_s=value)
         case _:
-            return replace(found, supply_resistance_ohm=value)
+            return replace(effects, supply_resistance_ohm=value)
 
 
 def _check_index(index: int, count: int, what: str, where: str) -> None:
@@ -219,15 +219,15 @@ def _checked(key: str, value: float, where: str) -> float:
     return float(value)
 
 
-def _add_inertia(found: PlantEffects, entry: EffectEntry, links: int, where: str) -> PlantEffects:
+def _add_inertia(effects: PlantEffects, entry: EffectEntry, links: int, where: str) -> PlantEffects:
     _check_index(entry.joint, links, "link", where)
     if not entry.parameters or not set(entry.parameters) <= {"mass_kg", "inertia_kg_m2"}:
         raise ScenarioError(f"{where}: expected mass_kg or inertia_kg_m2, got {', '.join(entry.parameters) or 'nothing'}.")
     at = entry.joint - 1
-    mass, inertia = dict(found.link_mass_kg), dict(found.link_inertia_kg_m2)
+    mass, inertia = dict(effects.link_mass_kg), dict(effects.link_inertia_kg_m2)
     mass[at] = float(entry.parameters.get("mass_kg", 0.0))
     inertia[at] = float(entry.parameters.get("inertia_kg_m2", 0.0))
-    return replace(found, link_mass_kg=mass, link_inertia_kg_m2=inertia)
+    return replace(effects, link_mass_kg=mass, link_inertia_kg_m2=inertia)
 
 
 def deviations(values: Mapping[str, float], links: int, where: str) -> dict[tuple[int, str], float]:

@@ -240,9 +240,9 @@ def split_mass(of: Beam, mass_kg: float, com_m: Matrix) -> tuple[PointMass, Poin
 
 def remaining_inertia(inertia_kg_m2: Matrix, com_m: Matrix, parts: tuple[PointMass, PointMass]) -> Matrix:
     """Remaining principal inertia (3,) of a link after subtracting that of its two mass points."""
-    left: Matrix = np.array(inertia_kg_m2, dtype=float)
+    remaining_kg_m2: Matrix = np.array(inertia_kg_m2, dtype=float)
     for part in parts:
         r = part.place_m - com_m
-        left -= part.mass_kg * (float(r @ r) - r**2)
-    least: Matrix = np.maximum(left, _LEAST_INERTIA_kg_m2)
+        remaining_kg_m2 -= part.mass_kg * (float(r @ r) - r**2)
+    least: Matrix = np.maximum(remaining_kg_m2, _LEAST_INERTIA_kg_m2)
     return least
