@@ -88,27 +88,27 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.measured.timestamp() / 86400.0
 
 
-def geometry_of(problem: ArmProblem, found: Identification) -> GeometryRecord:
+def geometry_of(problem: ArmProblem, fit: Identification) -> GeometryRecord:
     """What a calibration determined; tool, boards and other unknowns without a nominal value are projected out."""
-    known = determinability(problem.sensitivity(found.x), problem.parameters)
-    inner = known.basis.T @ known.covariance(found.noise.variance_m2) @ known.basis
+    known = determinability(problem.sensitivity(fit.x), problem.parameters)
+    inner = known.basis.T @ known.covariance(fit.noise.variance_m2) @ known.basis
     information = known.basis @ np.linalg.inv(inner) @ known.basis.T
     bounded = [k for k, one in enumerate(problem.parameters) if one.has_bound]
-    own = _about(information, bounded)
+    about_bounded = _about(information, bounded)
     return GeometryRecord(
         tuple(problem.parameters[k].name for k in bounded),
-        tuple(found.estimates[k].value for k in bounded),
+        tuple(fit.estimates[k].value for k in bounded),
         tuple(problem.parameters[k].scale for k in bounded),
-        tuple(tuple(float(f"{value:.{DIGITS}g}") for value in row) for row in own),
+        tuple(tuple(float(f"{value:.{DIGITS}g}") for value in row) for row in about_bounded),
     )
 
 
-def quantities_of(found: GapFinding) -> dict[str, Quantity]:
+def quantities_of(finding: GapFinding) -> dict[str, Quantity]:
     """The parameters of the effects that a gap named, such as `backlash2.width_rad`."""
     return {
-        f"{one.name.effect}{one.name.joint or ''}.{parameter}": Quantity(value, sd if np.isfinite(sd) else None)
-        for one in found.effects
-        for parameter, (value, sd) in one.parameters.items()
+        f"{effect.name.effect}{effect.name.joint or ''}.{parameter}": Quantity(value, sd if np.isfinite(sd) else None)
+        for effect in finding.effects
+        for parameter, (value, sd) in effect.parameters.items()
     }
 
 
@@ -163,10 +163,10 @@ def measured_at(text: str | None) -> datetime.datetime:
     if text is None:
         return datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     try:
-        found = datetime.datetime.fromisoformat(text)
+        moment = datetime.datetime.fromisoformat(text)
     except ValueError:
         raise CalibrationError(f'--measured: expected a date such as 2026-11-23 or 2026-11-23T09:00, got "{text}"') from None
-    return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
+    return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
 
 
 # A straight line in time through the geometry of several calibrations, each with its own uncertainty.
@@ -218,12 +218,12 @@ def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -
     """Through all entries that have a geometry, or a step that the entries from that day on are behind; None with fewer than two
     days.
     """
-    used = [(one.day, one.geometry) for one in entries if one.geometry is not None]
+    used = [(entry.day, entry.geometry) for entry in entries if entry.geometry is not None]
     if len({day for day, _ in used}) < 2:
         return None
     view = _View(arm, used[0][1], used[-1][1])
     days = np.array([day for day, _ in used]) - used[-1][0]
-    seen = [view.seen(one) for _, one in used]
+    seen = [view.seen(geometry) for _, geometry in used]
     span = float(-days.min())
     if step_day is None:
         passed, unit = days / span, span
@@ -255,22 +255,22 @@ class _View:
         self.toward[:, [self._every[place] not in last.names for place in thetas]] = np.nan
         self.zeros_rad = self._dh.ravel()[thetas]
 
-    def seen(self, one: GeometryRecord) -> tuple[Array, Array]:
+    def seen(self, geometry: GeometryRecord) -> tuple[Array, Array]:
         """A calibration's coordinates (r,) and their information (r, r)."""
-        dh = self._table(one)
+        dh = self._table(geometry)
         slopes = self._model.slopes(dh, self._q)
-        rows = [k for k, name in enumerate(one.names) if name in self._every]
-        places = [self._every.index(one.names[k]) for k in rows]
-        scales = np.array([one.scales[k] for k in rows])
+        rows = [k for k, name in enumerate(geometry.names) if name in self._every]
+        places = [self._every.index(geometry.names[k]) for k in rows]
+        scales = np.array([geometry.scales[k] for k in rows])
         moves = self._basis.T @ slopes.by_dh.reshape(-1, len(self._every))[:, places] * scales
         lift = np.linalg.pinv(moves, rcond=RANK_TOLERANCE)
-        information = lift.T @ _about(np.array(one.information), rows) @ lift
+        information = lift.T @ _about(np.array(geometry.information), rows) @ lift
         return self._basis.T @ (slopes.tips - self._tips).ravel(), information
 
-    def _table(self, one: GeometryRecord) -> Array:
+    def _table(self, geometry: GeometryRecord) -> Array:
         """The DH table (links, 4); what the record lacks is as in arm.toml."""
         flat = self._arm.dh.ravel().copy()
-        for name, value in zip(one.names, one.values, strict=True):
+        for name, value in zip(geometry.names, geometry.values, strict=True):
             if name in self._every:
                 flat[self._every.index(name)] = value
         return flat.reshape(-1, 4)
@@ -279,12 +279,12 @@ class _View:
 def _about(information: Array, rows: list[int]) -> Array:
     """Information about some unknowns, whatever the others are (Schur complement)."""
     others = [k for k in range(len(information)) if k not in rows]
-    own = information[np.ix_(rows, rows)]
+    block = information[np.ix_(rows, rows)]
     if not others:
-        return own
+        return block
     across = information[np.ix_(rows, others)]
     inverse = np.linalg.pinv(information[np.ix_(others, others)], rcond=KNOWN, hermitian=True)
-    return np.asarray(own - across @ inverse @ across.T)
+    return np.asarray(block - across @ inverse @ across.T)
 
 
 def _fitted(view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]) -> DriftLine:
@@ -296,9 +296,9 @@ def _fitted(view: _View, time: tuple[Array, float, float], values: list[Array], 
         normal += np.kron(np.outer(at, at), info)
         moment += np.kron(at, info @ value)
     covariance: Array = np.asarray(np.linalg.pinv(normal, rcond=KNOWN, hermitian=True), dtype=np.float64)
-    found = (covariance @ moment).reshape(2, size)
-    left = [value - at @ found for at, value in zip(rows, values, strict=True)]
-    chi_squared = sum(float(one @ info @ one) for one, info in zip(left, informations, strict=True))
+    solution = (covariance @ moment).reshape(2, size)
+    residuals = [value - at @ solution for at, value in zip(rows, values, strict=True)]
+    chi_squared = sum(float(one @ info @ one) for one, info in zip(residuals, informations, strict=True))
     freedom = sum(_rank(info) for info in informations) - _rank(normal)
     scatter = math.sqrt(max(1.0, chi_squared / freedom)) if freedom else 1.0
     by_day = np.repeat([1.0, 1.0 / unit], size)
@@ -307,8 +307,8 @@ def _fitted(view: _View, time: tuple[Array, float, float], values: list[Array], 
         poses_count=view.count,
         days=span,
         count=len(values),
-        start=np.asarray(found[0]),
-        rate=np.asarray(found[1] / unit),
+        start=np.asarray(solution[0]),
+        rate=np.asarray(solution[1] / unit),
         covariance=of_both,
         scatter=scatter,
         freedom=freedom,
@@ -347,10 +347,10 @@ class ZeroStep:
 
 def step_of(arm: Arm, entries: Sequence[Entry], line: DriftLine) -> ZeroStep | None:
     """The step that explains the calibrations far better than their line; None if none does. Entries are sorted by date."""
-    known = [one for one in entries if one.geometry is not None]
+    known = [entry for entry in entries if entry.geometry is not None]
     places = [k for k in range(1, len(known)) if known[k].day > known[k - 1].day]
-    found = [(step, k) for k in places if (step := line_of(arm, known, known[k].day)) is not None]
-    step, place = min(found, key=lambda one: one[0].chi_squared)
+    splits = [(step, k) for k in places if (step := line_of(arm, known, known[k].day)) is not None]
+    step, place = min(splits, key=lambda split: split[0].chi_squared)
     if _excess(step) > LEFT_MOST * _excess(line):
         return None
     changes, has_rest = by_zeros(step, 1.0)
@@ -424,15 +424,15 @@ def by_zeros(line: DriftLine, days: float) -> tuple[tuple[Rate, ...], bool]:
     """The line's rate over so many `days` as changes of the joints' zeros, and whether they leave more than uncertainty."""
     from scipy.stats import chi2
 
-    told = np.flatnonzero(np.isfinite(line.toward).all(axis=0))
-    toward, info = line.toward[:, told], line.information
+    determined = np.flatnonzero(np.isfinite(line.toward).all(axis=0))
+    toward, info = line.toward[:, determined], line.information
     covariance = np.linalg.pinv(toward.T @ info @ toward, rcond=KNOWN, hermitian=True)
     speeds = covariance @ toward.T @ info @ line.rate
     rest = line.rate - toward @ speeds
-    freedom = max(0, len(line.rate) - len(told))
+    freedom = max(0, len(line.rate) - len(determined))
     zeros = tuple(
         _zero(line, joint, days * float(speed), days * math.sqrt(variance))
-        for joint, speed, variance in zip(told.tolist(), speeds, np.diag(covariance), strict=True)
+        for joint, speed, variance in zip(determined.tolist(), speeds, np.diag(covariance), strict=True)
     )
     return zeros, freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE
 
@@ -445,12 +445,12 @@ def _is_steady(line: DriftLine) -> bool:
 
 def _odd(arm: Arm, entries: Sequence[Entry]) -> Entry | None:
     """The only calibration without which LEAST or more others lie on a line."""
-    found = []
-    for one in (one for one in entries if one.geometry is not None):
-        line = line_of(arm, [other for other in entries if other is not one])
+    odd = []
+    for entry in (entry for entry in entries if entry.geometry is not None):
+        line = line_of(arm, [other for other in entries if other is not entry])
         if line is not None and line.count >= LEAST and line.freedom and _is_steady(line):
-            found.append(one)
-    return found[0] if len(found) == 1 else None
+            odd.append(entry)
+    return odd[0] if len(odd) == 1 else None
 
 
 def _zero(line: DriftLine, joint: int, change: float, sd: float) -> Rate:
@@ -468,21 +468,21 @@ def _quantile(level: float, freedom: int) -> float:
 
 def quantity_rates(entries: Sequence[Entry]) -> tuple[Rate, ...]:
     """Of every quantity that entries of at least two days have, by name."""
-    names = sorted({name for one in entries for name in one.quantities})
-    found = (_quantity_rate(name, [one for one in entries if name in one.quantities]) for name in names)
-    return tuple(one for one in found if one is not None)
+    names = sorted({name for entry in entries for name in entry.quantities})
+    rates = (_quantity_rate(name, [entry for entry in entries if name in entry.quantities]) for name in names)
+    return tuple(rate for rate in rates if rate is not None)
 
 
 def _quantity_rate(name: str, entries: Sequence[Entry]) -> Rate | None:
     """Weighted least squares; equal weights, and their scatter alone, where a standard deviation is unknown."""
-    days = np.array([one.day for one in entries]) - entries[-1].day
+    days = np.array([entry.day for entry in entries]) - entries[-1].day
     if len(set(days.tolist())) < 2:
         return None
-    values = np.array([one.quantities[name].value for one in entries])
-    sds = np.array([one.quantities[name].sd or math.nan for one in entries])
+    values = np.array([entry.quantities[name].value for entry in entries])
+    sds = np.array([entry.quantities[name].sd or math.nan for entry in entries])
     is_known, freedom = bool(np.isfinite(sds).all()), len(entries) - 2
-    speed, variance, left = _straight(days, values, 1.0 / sds**2 if is_known else np.ones(len(values)))
-    scatter = left / freedom if freedom else (1.0 if is_known else math.inf)
+    speed, variance, squares = _straight(days, values, 1.0 / sds**2 if is_known else np.ones(len(values)))
+    scatter = squares / freedom if freedom else (1.0 if is_known else math.inf)
     sd = math.sqrt(variance * (max(1.0, scatter) if is_known else scatter)) * YEAR_days
     half, sure = (_quantile(level, freedom) * sd for level in (LEVEL, SURE))
     change = speed * YEAR_days
@@ -609,8 +609,8 @@ def sentences(trend: Trend) -> tuple[str, ...]:
 
 
 def _sentences(trend: Trend) -> Iterator[str]:
-    calibrations = sum(one.geometry is not None for one in trend.entries)
-    gaps = sum(bool(one.quantities) for one in trend.entries)
+    calibrations = sum(entry.geometry is not None for entry in trend.entries)
+    gaps = sum(bool(entry.quantities) for entry in trend.entries)
     yield f"Arm {trend.arm}: {_count(calibrations, 'calibration')} and {_count(gaps, 'gap')} on record."
     yield from _about_dates(trend)
     if trend.step is not None:
@@ -625,9 +625,9 @@ def _sentences(trend: Trend) -> Iterator[str]:
             f"A line through two points always fits: with {LEAST} {' and '.join(few)} or more, the rates are checked"
             " against their scatter."
         )
-    drifting = [one for one in trend.rates if one.drifts]
-    for one in drifting:
-        yield f"{one.name} drifts by {_rate(one)} a year."
+    drifting = [rate for rate in trend.rates if rate.drifts]
+    for rate in drifting:
+        yield f"{rate.name} drifts by {_rate(rate)} a year."
     if trend.rates and not drifting:
         yield "No drift is seen beyond what the records leave uncertain."
     yield from _about_geometry(trend)
@@ -664,22 +664,22 @@ def _about_step(step: ZeroStep) -> Iterator[str]:
 
 
 def _about_geometry(trend: Trend) -> Iterator[str]:
-    found = trend.geometry
-    if found is None:
+    geometry = trend.geometry
+    if geometry is None:
         return
-    if found.rest_drifts:
+    if geometry.rest_drifts:
         yield "Geometry changes beyond the joints' zeros: look for a loose link, a bent part, or a base that moved."
-    if found.odd is not None:
+    if geometry.odd is not None:
         yield (
-            f"The calibration of {found.odd.measured.date()} contradicts the others, which lie on a line: if it was spoilt, take"
-            " its line out of the history; if the arm was changed and changed back, keep in mind when."
+            f"The calibration of {geometry.odd.measured.date()} contradicts the others, which lie on a line: if it was spoilt,"
+            " take its line out of the history; if the arm was changed and changed back, keep in mind when."
         )
-    if not found.is_steady:
+    if not geometry.is_steady:
         yield (
-            f"The calibrations scatter {found.line.scatter:.1f} times as much as their intervals say: the change is not steady,"
-            " or something else changes, such as the temperature. The intervals count this scatter."
+            f"The calibrations scatter {geometry.line.scatter:.1f} times as much as their intervals say: the change is not"
+            " steady, or something else changes, such as the temperature. The intervals count this scatter."
         )
-    if found.line.unseen:
+    if geometry.line.unseen:
         yield "Some of the geometry is not determined by these calibrations: its drift would not be seen."
 
 
@@ -724,26 +724,26 @@ def as_text(trend: Trend) -> str:
 
 def trend_json(trend: Trend) -> dict[str, object]:
     """For programs; SI units, changes per year."""
-    found = trend.geometry
+    geometry = trend.geometry
     return {
         "format": "trend/1",
         "arm": trend.arm,
         "entries": len(trend.entries),
         "rates": [
-            entries(one, "name", "value", "drifts") | {"per_year": one.change, "half_interval": one.half, "records": one.count}
-            for one in trend.rates
+            entries(row, "name", "value", "drifts") | {"per_year": row.change, "half_interval": row.half, "records": row.count}
+            for row in trend.rates
         ],
         "step": trend.step
         and {
-            "between": [one.measured.isoformat() for one in (trend.step.before, trend.step.after)],
+            "between": [entry.measured.isoformat() for entry in (trend.step.before, trend.step.after)],
             "changes": [
-                {"name": one.name, "change": one.change, "half_interval": one.half, "is_sure": one.drifts}
-                for one in trend.step.changes
+                {"name": row.name, "change": row.change, "half_interval": row.half, "is_sure": row.drifts}
+                for row in trend.step.changes
             ],
             "other_geometry": trend.step.has_rest,
         },
-        "scatter": found.line.scatter if found else None,
-        "other_geometry_drifts": found.rest_drifts if found else None,
+        "scatter": geometry.line.scatter if geometry else None,
+        "other_geometry_drifts": geometry.rest_drifts if geometry else None,
         "tolerance_m": trend.tolerance_m,
         "due": trend.due
         and {
@@ -756,12 +756,12 @@ def trend_json(trend: Trend) -> dict[str, object]:
     }
 
 
-def _rate(one: Rate) -> str:
-    if not math.isfinite(one.half):
+def _rate(rate: Rate) -> str:
+    if not math.isfinite(rate.half):
         return "cannot be told"
-    scale, unit = (MILLI, " mrad") if one.unit == "rad" else (1.0, "")
-    low, high = one.change - one.half, one.change + one.half
-    return f"{scale * one.change:.3g}{unit} ({scale * low:.3g} to {scale * high:.3g})"
+    scale, unit = (MILLI, " mrad") if rate.unit == "rad" else (1.0, "")
+    low, high = rate.change - rate.half, rate.change + rate.half
+    return f"{scale * rate.change:.3g}{unit} ({scale * low:.3g} to {scale * high:.3g})"
 
 
 def _value(one: Rate) -> str:

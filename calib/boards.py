@@ -39,19 +39,19 @@ class BoardPose:
         return np.asarray(board_m @ self.rotation.T + self.origin_m)
 
 
-def write_boards(path: Path, arm: str, found: Mapping[str, Registration], made: Provenance) -> None:
+def write_boards(path: Path, arm: str, registrations: Mapping[str, Registration], made: Provenance) -> None:
     """Write the poses with residuals and standard deviations."""
     boards = {
         setup: {
-            "origin_m": one.origin_m.round(DECIMALS),
-            "rotation": one.rotation.round(DECIMALS),
-            "sd": dict(zip(SD_KEYS, one.sd.round(DECIMALS), strict=True)),
-            "noise_m": round(one.noise_m, DECIMALS),
-            "residual_m": dict(zip(one.names, one.residual_m.round(DECIMALS), strict=True)),
-            "outliers": one.outliers,
-            "notes": one.notes,
+            "origin_m": registration.origin_m.round(DECIMALS),
+            "rotation": registration.rotation.round(DECIMALS),
+            "sd": dict(zip(SD_KEYS, registration.sd.round(DECIMALS), strict=True)),
+            "noise_m": round(registration.noise_m, DECIMALS),
+            "residual_m": dict(zip(registration.names, registration.residual_m.round(DECIMALS), strict=True)),
+            "outliers": registration.outliers,
+            "notes": registration.notes,
         }
-        for setup, one in found.items()
+        for setup, registration in registrations.items()
     }
     write_json(path, made.heading(FORMAT, arm=arm) | {"boards": boards})
 
@@ -251,14 +251,14 @@ def _sum_of_squares(board_m: Array, seen_m: Array, rows: tuple[int, ...]) -> flo
     return float(squares_m2(best_motion(board, seen), board, seen).sum())
 
 
-def _is_more_than_chance(before_m2: float, after_m2: float, left: int) -> bool:
+def _is_more_than_chance(before_m2: float, after_m2: float, count: int) -> bool:
     """Whether leaving out one of left + 1 markers reduces the sum of squares significantly."""
     from scipy.special import fdtrc
 
-    freedom = 3 * left - POSE_UNKNOWNS
+    freedom = 3 * count - POSE_UNKNOWNS
     variance_m2 = max(after_m2 / freedom, RESOLUTION_m**2)
     ratio = (before_m2 - after_m2) / 3.0 / variance_m2
-    return float(fdtrc(3, freedom, max(0.0, ratio))) < FALSE_ALARM / (left + 1)
+    return float(fdtrc(3, freedom, max(0.0, ratio))) < FALSE_ALARM / (count + 1)
 
 
 # Registration of a calibration board from three or more of its cavities or markers measured by a camera.
@@ -353,15 +353,15 @@ def _register_setup(markers: Markers, cavities: Cavities, setup: str) -> Registr
             raise RegistrationError(f"setup {setup}: the board has no marker {name}; it has {_few(list(cavities))}")
     board_m = np.array([np.asarray(cavities[name], dtype=float) for name in seen])
     try:
-        found = register(board_m, np.array(list(seen.values())), tuple(seen))
+        registration = register(board_m, np.array(list(seen.values())), tuple(seen))
     except RegistrationError as error:
         raise RegistrationError(f"setup {setup}: {error}") from None
-    if found.normal[2] < 0.0:
+    if registration.normal[2] < 0.0:
         raise RegistrationError(
-            f"setup {setup}: the markers put the board upside down (normal {_spelled(found.normal)}):"
+            f"setup {setup}: the markers put the board upside down (normal {_spelled(registration.normal)}):"
             " check that names count counter-clockwise"
         )
-    return found
+    return registration
 
 
 def _require_shape(board_m: Array, seen_m: Array, names: Sequence[str]) -> None:

@@ -37,8 +37,8 @@ class Settling:
     def takes(self, step: npt.ArrayLike, enough: float) -> Mask:
         """Which steps of a length (or lengths, of each value) are to be taken; `enough`, the length that no longer counts."""
         length = np.asarray(step, dtype=np.float64)
-        taken = np.asarray(length < self._last)
-        goes_on = taken & (length > enough)
+        is_taken = np.asarray(length < self._last)
+        goes_on = is_taken & (length > enough)
         self._count += 1
         if self._count >= self._most:
             self.slow = self.slow | goes_on
@@ -47,7 +47,7 @@ class Settling:
         goes_on &= ~self.slow
         self._before.append(length)
         self._last = np.where(goes_on, length, 0.0)
-        return taken
+        return is_taken
 
     def _left(self, length: npt.NDArray[np.float64], enough: float) -> npt.NDArray[np.float64]:
         """Steps from this length to `enough`, at the mean rate of the last ones."""

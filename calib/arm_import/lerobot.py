@@ -76,7 +76,7 @@ def given_back(arm: Arm, motors: Mapping[str, LeRobotMotor], generic: Arm) -> tu
     A joint whose theta was identified stands elsewhere than the generic arm has it: its zero moves by that. LeRobot has its zero
     in the middle of a range, so the range loses what lies further out on one side. Motors that are no joint stay.
     """
-    given, notes = dict(motors), []
+    adapted, notes = dict(motors), []
     names = {motor.id: name for name, motor in motors.items()}
     try:
         both = zip(*(one.links for one in in_the_same_rows(arm, generic)), strict=True)
@@ -91,11 +91,11 @@ def given_back(arm: Arm, motors: Mapping[str, LeRobotMotor], generic: Arm) -> tu
         if reach < 1.0:
             raise ImportedModelError(f"{called}: its range does not contain the zero that LeRobot would have")
         low = math.ceil(zero - reach)
-        given[names[motor.id]] = msgspec.structs.replace(motor, range_min=low, range_max=round(2.0 * zero) - low)
+        adapted[names[motor.id]] = msgspec.structs.replace(motor, range_min=low, range_max=round(2.0 * zero) - low)
         lost_rad = max(-ends_rad[0], ends_rad[1]) - reach / counts
         cost = f"; {lost_rad:.2f} rad of its travel are left out" if lost_rad > WORTH_SAYING_rad else ""
         notes.append(f"{called}: zero moved by {shift_rad:+.4f} rad{cost}")
-    return given, tuple(notes)
+    return adapted, tuple(notes)
 
 
 def _counts_per_rad() -> float:

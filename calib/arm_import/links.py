@@ -58,9 +58,9 @@ def with_mass(link: Link, mass: Mass | None, frame: Array) -> Link:
         nothing = (0.0, 0.0, 0.0)
         com, moments, kg = nothing, nothing, 0.0
     else:
-        own = mass.seen_from(_inverse(frame))
-        com, kg = _vector(own.com_m), mass.mass_kg
-        moments = _vector(np.maximum(np.diag(own.inertia_kg_m2), 0.0))
+        local = mass.seen_from(_inverse(frame))
+        com, kg = _vector(local.com_m), mass.mass_kg
+        moments = _vector(np.maximum(np.diag(local.inertia_kg_m2), 0.0))
     return dataclasses.replace(link, mass_kg=kg, com_m=com, inertia_kg_m2=moments)
 
 

@@ -116,10 +116,10 @@ def together(masses: list[Mass]) -> Mass | None:
         return None
     com = sum((m.mass_kg * m.com_m for m in masses), np.zeros(3)) / total
     inertia = np.zeros((3, 3))
-    for one in masses:
-        r = one.com_m - com
-        inertia += one.inertia_kg_m2 + one.mass_kg * (float(r @ r) * np.eye(3) - np.outer(r, r))
-    return Mass(total, com, inertia, max(masses, key=lambda one: one.mass_kg).where)
+    for body in masses:
+        r = body.com_m - com
+        inertia += body.inertia_kg_m2 + body.mass_kg * (float(r @ r) * np.eye(3) - np.outer(r, r))
+    return Mass(total, com, inertia, max(masses, key=lambda body: body.mass_kg).where)
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,14 +95,14 @@ class _Urdf:
 
     def _joints(self, root: Element, links: dict[str, Element]) -> dict[str, tuple[str, Array, TreeJoint | None]]:
         """By child: its parent, its pose there, and the joint."""
-        found: dict[str, tuple[str, Array, TreeJoint | None]] = {}
+        joints: dict[str, tuple[str, Array, TreeJoint | None]] = {}
         for element in root.all("joint"):
             name = self._attribute(element, "name", "joint")
             parent, child = (self._end(element, name, which, links) for which in ("parent", "child"))
-            if child in found:
+            if child in joints:
                 raise self._error(element, f"joint {name}: link {child} has a second parent")
-            found[child] = (parent, self._pose(element), self._joint(element, name))
-        return found
+            joints[child] = (parent, self._pose(element), self._joint(element, name))
+        return joints
 
     def _end(self, joint: Element, name: str, which: str, links: dict[str, Element]) -> str:
         element = joint.first(which)
@@ -175,12 +175,12 @@ class _Urdf:
         mass = self._number(weighed, "value", 0.0)
         if inertial is None or weighed is None or mass <= 0.0:
             return None
-        given = inertial.first("inertia")
-        xx, yy, zz, xy, xz, yz = (self._number(given, key, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
-        own, name = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), link.attributes["name"]
-        possible = possible_inertia(own)
-        if np.abs(possible - own).max() > ROUNDED_INERTIA * np.abs(own).max():
-            line, moments = (given or inertial).line, ", ".join(f"{k:.3g}" for k in np.linalg.eigvalsh(own))
+        tensor = inertial.first("inertia")
+        xx, yy, zz, xy, xz, yz = (self._number(tensor, key, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        inertia, name = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), link.attributes["name"]
+        possible = possible_inertia(inertia)
+        if np.abs(possible - inertia).max() > ROUNDED_INERTIA * np.abs(inertia).max():
+            line, moments = (tensor or inertial).line, ", ".join(f"{k:.3g}" for k in np.linalg.eigvalsh(inertia))
             nearest = ", ".join(f"{k:.3g}" for k in np.linalg.eigvalsh(possible))
             self._notes.append(
                 f"{self._path}, line {line}, link {name}: no body has the moments {moments} kg m^2, since each is at most the sum"

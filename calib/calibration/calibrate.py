@@ -85,21 +85,21 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         *unclear_flanks(arm, points, plan.choice.effects),
     ]
     advance("identifying", 0.1)
-    problem, found = identified(arm, points, plan)
+    problem, fit = identified(arm, points, plan)
     warnings += [
-        *unphysical(found.solution.corrections),
-        *_about_noise(found),
-        *about_settling(found),
-        *tilted_axes(arm, problem, found.x),
+        *unphysical(fit.solution.corrections),
+        *_about_noise(fit),
+        *about_settling(fit),
+        *tilted_axes(arm, problem, fit.x),
     ]
     advance("looking for outliers", 0.4)
-    floor = noise_floor(arm, points, problem, found.x)
-    suspects = find_suspects(problem, found.x, _cavities(arm), _usual_noise_m(problem, floor))
+    floor = noise_floor(arm, points, problem, fit.x)
+    suspects = find_suspects(problem, fit.x, _cavities(arm), _usual_noise_m(problem, floor))
     held, reasons = _held_out(arm, points, plan, advance)
-    judged = verdict(found, held, floor, suspects, points.setup, still_joints(points.q_rad))
+    judged = verdict(fit, held, floor, suspects, points.setup, still_joints(points.q_rad))
     advance("done", 1.0)
     return Calibrated(
-        arm, calibrated_arm(arm, found, points), points, problem, found, suspects, held, floor, judged, (*warnings, *reasons)
+        arm, calibrated_arm(arm, fit, points), points, problem, fit, suspects, held, floor, judged, (*warnings, *reasons)
     )
 
 
@@ -121,28 +121,28 @@ def identified(arm: Arm, points: Points, plan: CalibrationPlan, rows: Mask | Non
         )
 
     problem = problem_of(arm, points, plan.choice)
-    first = found = solved(problem, plan.starts_count)
+    first = fit = solved(problem, plan.starts_count)
     unsettled_m = 0.0
     settling = Settling(FITS_MOST)
     while plan.choice.effects and settling.goes_on:
-        shaped = calibrated_arm(arm, found, points)
+        shaped = calibrated_arm(arm, fit, points)
         there = problem_of(arm, points, plan.choice, shaped)
-        slopes = followed(shaped, points, there, found.solution)
-        further = solved(there.following(slopes, found.solution) if slopes else there, 1)
-        moved_m = float(np.linalg.norm(further.error_after_m - found.error_after_m))
+        slopes = followed(shaped, points, there, fit.solution)
+        further = solved(there.following(slopes, fit.solution) if slopes else there, 1)
+        moved_m = float(np.linalg.norm(further.error_after_m - fit.error_after_m))
         if settling.takes(moved_m, SAME_sd * further.noise_m):
-            problem, found = there, further
+            problem, fit = there, further
             unsettled_m = moved_m if settling.slow else 0.0
     before_m, value = first.error_before_m, first.objective_before
-    found = replace(found, error_before_m=before_m, objective_before=value, unsettled_m=unsettled_m)
-    if none := impossible(found.solution.corrections):
+    fit = replace(fit, error_before_m=before_m, objective_before=value, unsettled_m=unsettled_m)
+    if none := impossible(fit.solution.corrections):
         rest = tuple(text for text in plan.choice.effects if effect_key(text, arm) not in none)
         bare = replace(arm, effects=tuple(one for one in arm.effects if (one.effect, one.joint) not in none))
-        problem, found = identified(bare, points, replace(plan, choice=replace(plan.choice, effects=rest)), rows)
+        problem, fit = identified(bare, points, replace(plan, choice=replace(plan.choice, effects=rest)), rows)
         zero = {LAWS[effect][0].name(joint): 0.0 for effect, joint in none}
-        solution = replace(found.solution, corrections={**found.solution.corrections, **zero})
-        return problem, replace(found, solution=solution)
-    return problem if rows is None else problem.of_rows(rows), found
+        solution = replace(fit.solution, corrections={**fit.solution.corrections, **zero})
+        return problem, replace(fit, solution=solution)
+    return problem if rows is None else problem.of_rows(rows), fit
 
 
 def _about_frame(arm: Arm) -> str:
@@ -159,30 +159,30 @@ def _usual_noise_m(problem: ArmProblem, floor: NoiseFloor | None) -> float:
     return floor.axis_m if floor is not None else 0.0
 
 
-def about_settling(found: Identification) -> list[str]:
+def about_settling(fit: Identification) -> list[str]:
     """A warning where loads still followed the geometry when the fits were ended."""
-    if not found.unsettled_m:
+    if not fit.unsettled_m:
         return []
     return [
         f"loads follow the geometry, and so slowly that {FITS_MOST} fits do not settle it: the last of them moved the tips of all"
-        f" poses together by {1e3 * found.unsettled_m:.2g} mm. Values may be off by many such steps: an effect of loads here is"
+        f" poses together by {1e3 * fit.unsettled_m:.2g} mm. Values may be off by many such steps: an effect of loads here is"
         " hardly determined, or is too soft to hold the arm"
     ]
 
 
-def _about_noise(found: Identification) -> list[str]:
+def _about_noise(fit: Identification) -> list[str]:
     """A warning if points scatter unlike their stated noise: weights and intervals follow from it."""
-    if found.weighted is not None:
-        if 1.0 / NOISE_RATIO <= found.weighted <= NOISE_RATIO:
+    if fit.weighted is not None:
+        if 1.0 / NOISE_RATIO <= fit.weighted <= NOISE_RATIO:
             return []
         return [
-            f"the points scatter {found.weighted:.2g} times as much as their covariances say: something other than this geometry"
+            f"the points scatter {fit.weighted:.2g} times as much as their covariances say: something other than this geometry"
             " acts (run `armwright gap`), or the covariances are wrong"
         ]
-    turned = found.orientation
+    turned = fit.orientation
     if turned is None:
         return []
-    ratio = turned.noise_ratio(found.error_after_m)
+    ratio = turned.noise_ratio(fit.error_after_m)
     if 1.0 / NOISE_RATIO <= ratio <= NOISE_RATIO:
         return []
     rms_rad = float(np.sqrt(np.mean(turned.error_after_rad**2)))
@@ -205,12 +205,12 @@ def _held_out(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance)
     def done(count: int, total: int) -> None:
         advance("leaving points out", 0.5 + 0.5 * count / total)
 
-    def predicted(some: Points, rest: Points) -> tuple[Prediction, Prediction]:
-        problem, found = identified(arm, some, replace(plan, starts_count=1))
-        nominal = problem.solution(np.zeros(len(found.x)))
+    def predicted(training: Points, rest: Points) -> tuple[Prediction, Prediction]:
+        problem, fit = identified(arm, training, replace(plan, starts_count=1))
+        nominal = problem.solution(np.zeros(len(fit.x)))
         # what no file says, such as where a gear lies whose flank is unclear, predicts nothing
-        made = problem_of(calibrated_arm(arm, found, some), rest, replace(plan.choice, effects=()))
-        return (problem_of(arm, rest, plan.choice), nominal), (made, found.solution)
+        made = problem_of(calibrated_arm(arm, fit, training), rest, replace(plan.choice, effects=()))
+        return (problem_of(arm, rest, plan.choice), nominal), (made, fit.solution)
 
     try:
         return held_out(predicted, points, plan.leave_out, done), []
@@ -242,28 +242,28 @@ def points_in_base(made: Calibrated) -> Points | None:
 # Results of a calibration besides the report: the calibrated arm.toml and calibration.json.
 
 
-def write_calibrated_arm(path: Path, nominal: Arm, found: Identification, made: Provenance, points: Points | None = None) -> Arm:
+def write_calibrated_arm(path: Path, nominal: Arm, fit: Identification, made: Provenance, points: Points | None = None) -> Arm:
     """Save the arm with the identified parameters (`calibrated_arm`) as a new file, and return it.
 
     The nominal arm's file is not changed; an existing file at `path` is refused (ArmFileError).
     """
-    calibration = made.of_arm(nominal, found.objective)
-    calibrated = dataclasses.replace(calibrated_arm(nominal, found, points), calibration=calibration)
+    calibration = made.of_arm(nominal, fit.objective)
+    calibrated = dataclasses.replace(calibrated_arm(nominal, fit, points), calibration=calibration)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_arm(calibrated, path)
     return calibrated
 
 
-def calibrated_arm(nominal: Arm, found: Identification, points: Points | None = None) -> Arm:
+def calibrated_arm(nominal: Arm, fit: Identification, points: Points | None = None) -> Arm:
     """The arm with the identified DH table, tool, base frame and effects, and the place of the stream that gave its points."""
-    x, y, z = found.solution.tool_m.tolist()
+    x, y, z = fit.solution.tool_m.tolist()
     tool = nominal.tool
-    if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
+    if any(estimate.parameter.name.startswith("tool_") for estimate in fit.estimates):
         tool = dataclasses.replace(tool, position_m=(x, y, z), known=True)
-    framed = with_base_frame(nominal.with_dh(found.dh), found.solution.frames[0])
+    framed = with_base_frame(nominal.with_dh(fit.dh), fit.solution.frames[0])
     if points is not None and STREAM_FRAME in points.extra.get("frame", ()):
-        framed = with_placed_stream(framed, found.solution.frames[0])
-    return with_effects(dataclasses.replace(framed, tool=tool), found.solution.corrections)
+        framed = with_placed_stream(framed, fit.solution.frames[0])
+    return with_effects(dataclasses.replace(framed, tool=tool), fit.solution.corrections)
 
 
 def with_placed_stream(arm: Arm, frame: Frame) -> Arm:
@@ -291,13 +291,13 @@ def with_base_frame(arm: Arm, base: Frame) -> Arm:
 def write_calibration_json(
     path: Path,
     arm: str,
-    found: Identification,
+    fit: Identification,
     made: Provenance,
     verification: Comparison | None = None,
     more: Mapping[str, object] | None = None,
 ) -> None:
     """Write the result for other programs; `more` under its own keys: outliers, held-out errors, the verdict."""
-    content = made.heading("calibration/1", arm=arm) | _found(found)
+    content = made.heading("calibration/1", arm=arm) | _found(fit)
     content["verification"] = None
     if verification is not None:
         content["verification"] = {
@@ -306,36 +306,36 @@ def write_calibration_json(
     write_json(path, content | dict(more or {}))
 
 
-def _found(found: Identification) -> dict[str, object]:
+def _found(fit: Identification) -> dict[str, object]:
     return {
-        "objective": {"name": found.objective, "before": found.objective_before, "after": found.objective_after},
-        "points": len(found.error_after_m),
-        "mean_error_m": {"before": found.mean_before_m, "after": found.mean_after_m},
-        "noise_m": found.noise_m,
-        "rank": found.rank,
-        "condition_number": found.condition_number,
+        "objective": {"name": fit.objective, "before": fit.objective_before, "after": fit.objective_after},
+        "points": len(fit.error_after_m),
+        "mean_error_m": {"before": fit.mean_before_m, "after": fit.mean_after_m},
+        "noise_m": fit.noise_m,
+        "rank": fit.rank,
+        "condition_number": fit.condition_number,
         "parameters": {
-            one.parameter.name: entries(one.parameter, "unit", "nominal", "bound")
-            | entries(one, "value", "deviation", "sd", "is_determined", "is_at_bound")
-            for one in found.estimates
+            estimate.parameter.name: entries(estimate.parameter, "unit", "nominal", "bound")
+            | entries(estimate, "value", "deviation", "sd", "is_determined", "is_at_bound")
+            for estimate in fit.estimates
         },
-        "tool_m": found.solution.tool_m.round(DECIMALS),
+        "tool_m": fit.solution.tool_m.round(DECIMALS),
         "orientation": None
-        if found.orientation is None
+        if fit.orientation is None
         else {
-            "points": len(found.orientation.rows),
-            "mean_error_rad": {"before": found.orientation.mean_before_rad, "after": found.orientation.mean_after_rad},
-            "target_rotation": found.orientation.target.round(DECIMALS),  # link_R_target
+            "points": len(fit.orientation.rows),
+            "mean_error_rad": {"before": fit.orientation.mean_before_rad, "after": fit.orientation.mean_after_rad},
+            "target_rotation": fit.orientation.target.round(DECIMALS),  # link_R_target
         },
         "frames": {
             frame.name: {
                 "origin_m": frame.origin_m.round(DECIMALS),
                 "rotation": frame.rotation.round(DECIMALS),  # base_T_frame
             }
-            for frame in found.solution.frames
+            for frame in fit.solution.frames
             if frame.is_free
         },
-        "undetermined": [{"names": g.names, "freedoms": g.freedoms_count} for g in found.undetermined],
-        "at_bound": found.binding,
-        "in_words": found.in_words(),
+        "undetermined": [{"names": g.names, "freedoms": g.freedoms_count} for g in fit.undetermined],
+        "at_bound": fit.binding,
+        "in_words": fit.in_words(),
     }

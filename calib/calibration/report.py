@@ -30,20 +30,20 @@ UNIT = {"m": ("mm", 1e3, 3), "rad": ("deg", math.degrees(1.0), 4)}
 
 def summary_text(made: Calibrated) -> str:
     """The verdict first, then the evidence."""
-    found = made.found
+    fit = made.found
     lines = [
         *made.verdict.in_words(),
         "",
-        f"{len(made.points)} points, {found.objective}: mean error {1e3 * found.mean_before_m:.3f} mm before,"
-        f" {1e3 * found.mean_after_m:.3f} mm after, at the points of the fit.",
+        f"{len(made.points)} points, {fit.objective}: mean error {1e3 * fit.mean_before_m:.3f} mm before,"
+        f" {1e3 * fit.mean_after_m:.3f} mm after, at the points of the fit.",
         *(made.held.in_words() if made.held is not None else ()),
-        *([found.accuracy.in_words()] if found.accuracy is not None else []),
-        *([found.orientation.in_words()] if found.orientation is not None else []),
+        *([fit.accuracy.in_words()] if fit.accuracy is not None else []),
+        *([fit.orientation.in_words()] if fit.orientation is not None else []),
     ]
     suspicious = made.suspects.in_words()
     if suspicious:
         lines += ["", "Suspicious, but used (exclude with --without SETUP:POINT):", *suspicious]
-    lines += ["", *found.in_words(), "", parameter_text(made)]
+    lines += ["", *fit.in_words(), "", parameter_text(made)]
     return "\n".join(lines) + "\n"
 
 
@@ -63,16 +63,16 @@ def estimate_lines(estimates: Sequence[Estimate]) -> list[str]:
     return [header, *map(_parameter_line, estimates)]
 
 
-def _parameter_line(one: Estimate) -> str:
-    parameter = one.parameter
+def _parameter_line(estimate: Estimate) -> str:
+    parameter = estimate.parameter
     unit, factor, digits = UNIT.get(parameter.unit, (parameter.unit or "-", 1.0, 6))
-    is_open = one.undetermined_share > NO_EFFECT
-    sd = "" if math.isnan(one.sd) or is_open else f"{factor * one.sd:.{digits}f}"
-    remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
+    is_open = estimate.undetermined_share > NO_EFFECT
+    sd = "" if math.isnan(estimate.sd) or is_open else f"{factor * estimate.sd:.{digits}f}"
+    remark = "at its bound" if estimate.is_at_bound else "" if estimate.is_determined else "not determined alone"
     nominal = f"{factor * parameter.nominal:.{digits}f}" if parameter.has_bound else "unknown"
-    deviation = f"{factor * one.deviation:+z.{digits}f}" if parameter.has_bound else ""
+    deviation = f"{factor * estimate.deviation:+z.{digits}f}" if parameter.has_bound else ""
     return (
-        f"{parameter.name:<20}{unit:<9}{nominal:>12}{factor * one.value:>z12.{digits}f}{deviation:>12}{sd:>10}"
+        f"{parameter.name:<20}{unit:<9}{nominal:>12}{factor * estimate.value:>z12.{digits}f}{deviation:>12}{sd:>10}"
         f"  {'no effect here' if is_open else remark}"
     ).rstrip()
 
@@ -91,10 +91,10 @@ def judgement_json(made: Calibrated) -> dict[str, object]:
         "noise_floor": made.floor and entries(made.floor, "axis_m", "mean_m", "source"),
         "held_out": None if made.held is None else _held(made.held),
         "outliers": [
-            {"pose": one.row + 1} | entries(one, "setup", "point", "distance_m", "score", "words")
-            for one in made.suspects.outliers
+            {"pose": outlier.row + 1} | entries(outlier, "setup", "point", "distance_m", "score", "words")
+            for outlier in made.suspects.outliers
         ],
-        "shifted_setups": [one.setup for one in made.suspects.setups],
+        "shifted_setups": [shifted.setup for shifted in made.suspects.setups],
         "suspicious": made.suspects.in_words(),
         "accuracy": accuracy and entries(accuracy, "limit_m", "mean_m", "least_m", "is_met"),
         "warnings": made.warnings,
@@ -121,13 +121,13 @@ def _held(held: HeldOut) -> dict[str, object]:
 
 def calibration_report(made: Calibrated, provenance: Provenance) -> ReportData:
     """The report of a calibration."""
-    found = made.found
+    fit = made.found
     return ReportData(
         title="Calibration",
         arm=made.nominal.name,
         made=provenance,
         steps=_steps(made),
-        identification=found,
+        identification=fit,
         calibration=_comparison(made),
         held=made.held,
         arms=(made.nominal, made.arm),

@@ -121,8 +121,8 @@ def _scores(ours: Array, theirs: Array) -> Array:
     seen = [np.isfinite(one).astype(float) for one in (ours, theirs)]
     a, b = (np.nan_to_num(one) for one in (ours, theirs))
 
-    def crossed(one: Array, other: Array) -> Array:
-        product = np.fft.rfft(one, size) * np.fft.rfft(other[::-1], size)
+    def crossed(first: Array, second: Array) -> Array:
+        product = np.fft.rfft(first, size) * np.fft.rfft(second[::-1], size)
         return np.asarray(np.fft.irfft(product, size)[: len(ours) + len(theirs) - 1])
 
     count = np.maximum(crossed(seen[0], seen[1]), 1e-9)
@@ -259,17 +259,17 @@ class JointMotion:
 
         What comes before a leap of an angle is left out, and said: homing gives a joint its zero. CaptureError names the runs.
         """
-        names = [one.name for one in log.runs]
-        runs = [one for one in log.runs if run is None or one.name == run]
+        names = [logged.name for logged in log.runs]
+        runs = [logged for logged in log.runs if run is None or logged.name == run]
         if not runs:
             raise CaptureError(f'{log.sources[0]}: no run "{run}": expected one of {", ".join(names)}')
-        t_s = np.concatenate([one.t_s + begin_s for one, begin_s in zip(runs, begins_s(runs), strict=True)])
+        t_s = np.concatenate([logged.t_s + begin_s for logged, begin_s in zip(runs, begins_s(runs), strict=True)])
         if len(t_s) < 10 or not (np.diff(t_s) > 0.0).all():
             raise CaptureError(
                 f"{log.sources[0]}: its runs have clocks of their own, or too few samples: give the captured one with --run"
                 f" ({', '.join(names)})"
             )
-        q_rad = np.concatenate([one.q_rad for one in runs])
+        q_rad = np.concatenate([logged.q_rad for logged in runs])
         first = after_leaps(t_s, q_rad)
         if len(t_s) - first < 10:
             raise CaptureError(f"{log.sources[0]}: an angle leaps at its end: nothing is left behind it")
@@ -311,17 +311,17 @@ def after_leaps(t_s: Array, q_rad: Array) -> int:
 
 def begins_s(runs: Sequence[LoggedRun]) -> list[float]:
     """What to add to each run's times: where runs begin at 0 again, their cycles say how long after the run before."""
-    found, cycles = [0.0], [one.extra.get("cycle") for one in runs]
+    begins, cycles = [0.0], [one.extra.get("cycle") for one in runs]
     for before, after, first, then in zip(runs[:-1], runs[1:], cycles[:-1], cycles[1:], strict=True):
         is_later = float(after.t_s[0]) > float(before.t_s[-1])
         if is_later or not first or not then or len(before) < 2:
-            found.append(found[-1] if is_later else 0.0)
+            begins.append(begins[-1] if is_later else 0.0)
             continue
         counts = [float(text) for text in (first[0], first[-1], then[0])]
         period_s = float(np.ptp(before.t_s)) / max(counts[1] - counts[0], 1.0)
-        end_s = found[-1] + float(before.t_s[-1])
-        found.append(end_s + (counts[2] - counts[1]) * period_s - float(after.t_s[0]))
-    return found
+        end_s = begins[-1] + float(before.t_s[-1])
+        begins.append(end_s + (counts[2] - counts[1]) * period_s - float(after.t_s[0]))
+    return begins
 
 
 def _speeds(t_s: Array, values: Array) -> Array:

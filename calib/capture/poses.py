@@ -48,7 +48,7 @@ class _Pose:
 
 def believed(capture: Capture, bodies: dict[str, BodyTrack]) -> tuple[dict[str, BodyTrack], tuple[str, ...]]:
     """The bodies without the frames in which they had leapt, or exchanged their names; and what was said of them."""
-    watch, said = LeapWatch(), dict[str, None]()
+    watch, reasons = LeapWatch(), dict[str, None]()
     wrong = {name: np.zeros(len(capture.t_s), dtype=bool) for name in bodies}
     tracks = [
         (name, body.is_seen.tolist(), body.position_m.tolist(), _quaternions(body).tolist()) for name, body in bodies.items()
@@ -61,8 +61,8 @@ def believed(capture: Capture, bodies: dict[str, BodyTrack]) -> tuple[dict[str, 
         for name in bodies:
             if why := watch.problem(name):
                 wrong[name][k] = True
-                said[why.partition(":")[0]] = None
-    return {name: _without(body, wrong[name]) for name, body in bodies.items()}, tuple(said)
+                reasons[why.partition(":")[0]] = None
+    return {name: _without(body, wrong[name]) for name, body in bodies.items()}, tuple(reasons)
 
 
 def _quaternions(body: BodyTrack) -> Array:
@@ -82,7 +82,7 @@ def poses_at_rest(
     motion: JointMotion, capture_s: Array, body: BodyTrack, aligned: Alignment, frame: str = CAMERA_FRAME
 ) -> Rested:
     """A point for each rest. CaptureError if there is none."""
-    t_s, found, left_out = aligned.log_time(capture_s), [], []
+    t_s, poses, left_out = aligned.log_time(capture_s), [], []
     for begin_s, end_s in motion.rests(LEAST_s):
         margin_s = SETTLE_s + 3.0 * aligned.offset_sd_s
         rows = np.flatnonzero((t_s > begin_s + margin_s) & (t_s < end_s - margin_s))
@@ -92,13 +92,13 @@ def poses_at_rest(
         if len(seen) < max(FRAMES_LEAST, SEEN_LEAST * len(rows)):
             left_out.append(f"rest at {begin_s:.1f} s: the body is hidden in {len(rows) - len(seen)} of {len(rows)} frames")
             continue
-        found.append(_pose(motion, t_s, seen, body, begin_s))
-    if not found:
+        poses.append(_pose(motion, t_s, seen, body, begin_s))
+    if not poses:
         raise CaptureError(
             f"no rest of {LEAST_s + 2 * SETTLE_s:g} s or more in which the body was seen: let the arm stand at each pose"
         )
-    spread_m, spread_rad = (_batches([getattr(one, key) for one in found]) for key in ("off_m", "off_rad"))
-    return Rested(_points(found, spread_m, spread_rad, frame), tuple(left_out), *_noise(found))
+    spread_m, spread_rad = (_batches([getattr(one, key) for one in poses]) for key in ("off_m", "off_rad"))
+    return Rested(_points(poses, spread_m, spread_rad, frame), tuple(left_out), *_noise(poses))
 
 
 def _pose(motion: JointMotion, t_s: Array, rows: Rows, body: BodyTrack, begin_s: float) -> _Pose:
@@ -134,34 +134,34 @@ def _batches(offs: list[Array]) -> Array:
     return total / freedom
 
 
-def _points(found: list[_Pose], spread_m: Array, spread_rad: Array, frame: str) -> Points:
-    count = np.array([len(one.off_m) for one in found])
+def _points(poses: list[_Pose], spread_m: Array, spread_rad: Array, frame: str) -> Points:
+    count = np.array([len(pose.off_m) for pose in poses])
     share = (BATCH / count)[:, None, None]
-    has_turn = found[0].turn is not None
+    has_turn = poses[0].turn is not None
     position = share * spread_m + FLOOR_m**2 * np.eye(3)
     turning = share * spread_rad + FLOOR_rad**2 * np.eye(3)
-    m = len(found)
+    m = len(poses)
     covariance = np.concatenate((triangles(position), triangles(turning) if has_turn else np.full((m, 6), np.nan)), axis=1)
-    turns = np.array([one.turn for one in found]) if has_turn else np.zeros((0, 3, 3))
+    turns = np.array([pose.turn for pose in poses]) if has_turn else np.zeros((0, 3, 3))
     return make_points(
         [SETUP] * m,
         [f"r{k + 1}" for k in range(m)],
         [1] * m,
-        np.array([one.q_rad for one in found]),
-        np.array([one.place_m for one in found]),
-        np.array([one.direction for one in found]),
-        t_s=np.array([one.t_s for one in found]),
+        np.array([pose.q_rad for pose in poses]),
+        np.array([pose.place_m for pose in poses]),
+        np.array([pose.direction for pose in poses]),
+        t_s=np.array([pose.t_s for pose in poses]),
         extra={"frame": (frame,) * m},
         orientation=quaternions(turns) if has_turn else None,
         covariance=covariance,
     )
 
 
-def _noise(found: list[_Pose]) -> tuple[float, float]:
+def _noise(poses: list[_Pose]) -> tuple[float, float]:
     """Root mean square of frames about their pose's mean, per axis."""
     return (
-        float(np.sqrt(np.mean(np.concatenate([one.off_m for one in found]) ** 2))),
-        float(np.sqrt(np.mean(np.concatenate([one.off_rad for one in found]) ** 2))),
+        float(np.sqrt(np.mean(np.concatenate([one.off_m for one in poses]) ** 2))),
+        float(np.sqrt(np.mean(np.concatenate([one.off_rad for one in poses]) ** 2))),
     )
 
 

@@ -96,9 +96,9 @@ def _shape(name: str, places_m: Array) -> Array:
     turns, origins = _motions(first, places_m)
     mean = np.einsum("rji,krj->kri", turns, places_m - origins).mean(axis=1)
     mean -= mean.mean(axis=0)
-    x, other = mean[1] - mean[0], mean[2] - mean[0]
-    z = np.cross(x, other)
-    if np.linalg.norm(z) < IN_LINE * np.linalg.norm(x) * np.linalg.norm(other):
+    x, across = mean[1] - mean[0], mean[2] - mean[0]
+    z = np.cross(x, across)
+    if np.linalg.norm(z) < IN_LINE * np.linalg.norm(x) * np.linalg.norm(across):
         raise CaptureError(f'body "{name}": its first three markers lie on one line: no orientation follows from them')
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     return np.asarray(mean @ np.column_stack((x, np.cross(z, x), z)))
@@ -108,10 +108,10 @@ def _motions(shape: Array, places: Array) -> tuple[Array, Array]:
     """Rotations (r, 3, 3) and origins (r, 3) that take a shape (k, 3) to places (k, r, 3): Kabsch."""
     middle, centre = shape.mean(axis=0), places.mean(axis=0)
     covariance = np.einsum("ki,krj->rij", shape - middle, places - centre)
-    left, _, right = np.linalg.svd(covariance)
-    sign = np.linalg.det(left @ right)
-    right[:, 2] *= sign[:, None]
-    rotation = np.swapaxes(left @ right, 1, 2)
+    u, _, vt = np.linalg.svd(covariance)
+    sign = np.linalg.det(u @ vt)
+    vt[:, 2] *= sign[:, None]
+    rotation = np.swapaxes(u @ vt, 1, 2)
     return rotation, centre - rotation @ middle
 
 
@@ -168,9 +168,9 @@ def read_vicon_csv(path: Path) -> Capture:
         for number, row in lines:
             title = row[0] if row else ""
             if title in (*OF_BODIES, *OF_MARKERS):
-                rate_Hz, frames, found = _section(path, number, lines)
+                rate_Hz, frames, tracks = _section(path, number, lines)
                 clock.append((rate_Hz, frames))
-                (bodies if title in OF_BODIES else markers).update(found)  # type: ignore[arg-type]
+                (bodies if title in OF_BODIES else markers).update(tracks)  # type: ignore[arg-type]
     if not clock:
         raise CaptureError(f"{path}: no section Objects, Segments or Trajectories: expected a CSV as Tracker or Nexus exports it")
     rate_Hz, frames = clock[0]
@@ -211,7 +211,7 @@ def _section(path: Path, number: int, lines: Iterator[Line]) -> tuple[float, Arr
 def _groups(path: Path, line: int, names: list[str], columns: list[str]) -> list[tuple[str, int, int, int]]:
     """Name, first and last column, and numbers of the rotation, of each body or marker."""
     starts = [k for k, name in enumerate(names) if name and k >= 2]
-    found = []
+    groups = []
     for start, end in zip(starts, [*starts[1:], len(columns)], strict=True):
         layout = tuple(column.upper() for column in columns[start:end] if column)
         if layout not in LAYOUTS:
@@ -221,8 +221,8 @@ def _groups(path: Path, line: int, names: list[str], columns: list[str]) -> list
             )
         name = names[start].removeprefix("Global Angle ").split(":", 1)
         called = name[1] if len(name) > 1 and name[0] == name[1] else names[start]
-        found.append((called, start, start + len(layout), LAYOUTS[layout]))
-    return found
+        groups.append((called, start, start + len(layout), LAYOUTS[layout]))
+    return groups
 
 
 def _track(values: Array, turn: int) -> BodyTrack | Array:
@@ -397,7 +397,7 @@ def _of_dec(words: npt.NDArray[np.uint32]) -> Array:
 
 def _parameters(content: bytes, start: int, kind: int) -> Iterator[tuple[str, Value]]:
     """GROUP:NAME and value of each parameter; groups may come after their parameters."""
-    groups, found = dict[int, str](), list[tuple[int, str, Value]]()
+    groups, unnamed = dict[int, str](), list[tuple[int, str, Value]]()
     at, order = start + 4, ">" if kind == MIPS else "<"
     end = min(len(content), start + max(1, content[start + 2]) * BLOCK_bytes)
     while at + 2 < end:
@@ -410,11 +410,11 @@ def _parameters(content: bytes, start: int, kind: int) -> Iterator[tuple[str, Va
         if group < 0:
             groups[-group] = name
         else:
-            found.append((group, name, _value(content, name_end + 2, kind)))
+            unnamed.append((group, name, _value(content, name_end + 2, kind)))
         if step <= 0:
             break
         at = name_end + step
-    for group, name, value in found:
+    for group, name, value in unnamed:
         yield f"{groups.get(group, '')}:{name}", value
 
 

@@ -89,15 +89,15 @@ def calibrate_pair(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, ad
     advance("identifying", 0.1)
     problem, best = _identified(arms, contacts, placed.base, plan)
     x = best.x
-    found = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x))
+    estimation = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x))
     calibrated, base = problem.solution(x)
     held = _held_out(arms, contacts, plan, advance)
     advance("done", 1.0)
     return PairFound(
         calibrated,
         base,
-        found.estimates,
-        found.known,
+        estimation.estimates,
+        estimation.known,
         frozen(before),
         frozen(problem.errors_m(x)),
         *held,
@@ -214,28 +214,28 @@ SCALE = (
 NO_EFFECT = 0.98  # share of a parameter that the contacts leave open, from which on its value means nothing
 
 
-def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
+def pair_text(nominal: tuple[Arm, Arm], pair: PairFound) -> str:
     """Errors of contacts left out first, then what is determined, then both arms and where they stand."""
     lines = []
-    if len(found.held_after_m):
+    if len(pair.held_after_m):
         lines.append(
-            f"On contacts not used (every 5th left out in turn), the mean error went from {_mm(found.held_before_m)} to"
-            f" {_mm(found.held_after_m)} mm (largest {1e3 * float(found.held_after_m.max()):.3f})."
+            f"On contacts not used (every 5th left out in turn), the mean error went from {_mm(pair.held_before_m)} to"
+            f" {_mm(pair.held_after_m)} mm (largest {1e3 * float(pair.held_after_m.max()):.3f})."
         )
     else:
         lines.append("Too few contacts to leave some out: how good the result is elsewhere is unknown.")
     lines += [
-        f"{len(found.after_m)} contacts: mean error {_mm(found.before_m)} mm with nominal arms, {_mm(found.after_m)} mm after, at"
+        f"{len(pair.after_m)} contacts: mean error {_mm(pair.before_m)} mm with nominal arms, {_mm(pair.after_m)} mm after, at"
         " the contacts of the fit.",
-        *_joined(found.angles_rad),
-        f"They determine {found.known.rank} of {len(found.estimates)} parameters (condition number"
-        f" {found.known.condition_number:.0f}).",
-        *(f"{sentence}." for sentence in (*remarks(found), *open_in_words(found.known.undetermined))),
-        *([] if found.has_distance else [SCALE]),
+        *_joined(pair.angles_rad),
+        f"They determine {pair.known.rank} of {len(pair.estimates)} parameters (condition number"
+        f" {pair.known.condition_number:.0f}).",
+        *(f"{sentence}." for sentence in (*remarks(pair), *open_in_words(pair.known.undetermined))),
+        *([] if pair.has_distance else [SCALE]),
         "",
-        aligned([("parameter", "unit", "", "nominal", "identified", "sd"), *map(_row, _own(found))], left=3),
+        aligned([("parameter", "unit", "", "nominal", "identified", "sd"), *map(_row, _own(pair))], left=3),
         "",
-        _stand(names_of(nominal), found.base),
+        _stand(names_of(nominal), pair.base),
     ]
     return "\n".join(lines) + "\n"
 
@@ -255,19 +255,19 @@ def _rms(angles_rad: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(angles_rad**2, axis=1))))
 
 
-def _own(found: PairFound) -> list[Estimate]:
+def _own(pair: PairFound) -> list[Estimate]:
     """The parameters of the arms and their tools, without those of where the bases stand."""
-    return [one for one in found.estimates if one.parameter.has_bound or "_tool_" in one.parameter.name]
+    return [one for one in pair.estimates if one.parameter.has_bound or "_tool_" in one.parameter.name]
 
 
-def _row(one: Estimate) -> tuple[str, ...]:
-    unit, factor, digits = ("deg", math.degrees(1.0), 4) if one.parameter.unit == "rad" else ("mm", 1e3, 3)
-    values = (f"{factor * one.parameter.nominal:.{digits}f}", f"{factor * one.value:z.{digits}f}")
-    if one.undetermined_share > NO_EFFECT:
-        return (one.parameter.name, unit, "no effect here", *values, "")
-    spread = "" if math.isnan(one.sd) else f"{factor * one.sd:.{digits}f}"
-    remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
-    return (one.parameter.name, unit, remark, *values, spread)
+def _row(estimate: Estimate) -> tuple[str, ...]:
+    unit, factor, digits = ("deg", math.degrees(1.0), 4) if estimate.parameter.unit == "rad" else ("mm", 1e3, 3)
+    values = (f"{factor * estimate.parameter.nominal:.{digits}f}", f"{factor * estimate.value:z.{digits}f}")
+    if estimate.undetermined_share > NO_EFFECT:
+        return (estimate.parameter.name, unit, "no effect here", *values, "")
+    spread = "" if math.isnan(estimate.sd) else f"{factor * estimate.sd:.{digits}f}"
+    remark = "at its bound" if estimate.is_at_bound else "" if estimate.is_determined else "not determined alone"
+    return (estimate.parameter.name, unit, remark, *values, spread)
 
 
 def _stand(names: tuple[str, str], base: Frame) -> str:
@@ -281,49 +281,49 @@ def _stand(names: tuple[str, str], base: Frame) -> str:
 
 def calibrated_cell(cell: Cell, arms: tuple[Arm, Arm], base: Frame) -> Cell:
     """The cell with calibrated arms of the same names, the second at `base` in the first's base frame."""
-    one, two = arms
-    first = dataclasses.replace(cell.placed(one.name), arm=one)
+    first_arm, second_arm = arms
+    first = dataclasses.replace(cell.placed(first_arm.name), arm=first_arm)
     rows = np.array(first.rotation) @ base.rotation
-    second = Placed(two, first.in_cell(base.origin_m.tolist()), quaternion_of(rows.tolist()))
-    made = {one.name: first, two.name: second}
+    second = Placed(second_arm, first.in_cell(base.origin_m.tolist()), quaternion_of(rows.tolist()))
+    made = {first_arm.name: first, second_arm.name: second}
     return dataclasses.replace(cell, arms=tuple(made.get(placed.name, placed) for placed in cell.arms))
 
 
-def write_pair(out: Path, nominal: tuple[Arm, Arm], found: PairFound, objective: str, made: Provenance) -> list[Path]:
+def write_pair(out: Path, nominal: tuple[Arm, Arm], pair: PairFound, objective: str, made: Provenance) -> list[Path]:
     """Write NAME.toml of both arms and pair.json; return the files."""
     files = [out / f"{name}.toml" for name in (*names_of(nominal), "pair")]
     files[-1] = files[-1].with_suffix(".json")
-    for file, arm, calibrated in zip(files[:-1], nominal, found.arms, strict=True):
+    for file, arm, calibrated in zip(files[:-1], nominal, pair.arms, strict=True):
         save_arm(dataclasses.replace(calibrated, calibration=made.of_arm(arm, objective)), file)
-    write_json(files[-1], made.heading(FORMAT) | pair_json(nominal, found))
+    write_json(files[-1], made.heading(FORMAT) | pair_json(nominal, pair))
     return files
 
 
-def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
+def pair_json(nominal: tuple[Arm, Arm], pair: PairFound) -> dict[str, object]:
     """The result for other programs."""
     return {
         "arms": names_of(nominal),
-        "contacts": len(found.after_m),
-        "mean_error_m": {"before": found.before_m.mean(), "after": found.after_m.mean()},
+        "contacts": len(pair.after_m),
+        "mean_error_m": {"before": pair.before_m.mean(), "after": pair.after_m.mean()},
         "held_out": {
-            "mean_before_m": found.held_before_m.mean(),
-            "mean_after_m": found.held_after_m.mean(),
-            "max_after_m": found.held_after_m.max(),
+            "mean_before_m": pair.held_before_m.mean(),
+            "mean_after_m": pair.held_after_m.mean(),
+            "max_after_m": pair.held_after_m.max(),
         }
-        if len(found.held_after_m)
+        if len(pair.held_after_m)
         else None,
-        "rank": found.known.rank,
-        "condition_number": found.known.condition_number,
+        "rank": pair.known.rank,
+        "condition_number": pair.known.condition_number,
         "parameters": {
-            one.parameter.name: entries(one.parameter, "unit", "nominal")
-            | entries(one, "value", "sd", "is_determined", "is_at_bound")
-            for one in _own(found)
+            estimate.parameter.name: entries(estimate.parameter, "unit", "nominal")
+            | entries(estimate, "value", "sd", "is_determined", "is_at_bound")
+            for estimate in _own(pair)
         },
-        "second_base": {"origin_m": found.base.origin_m, "orientation": quaternions(found.base.rotation[None])[0]},
-        "undetermined": [{"names": group.names, "freedoms": group.freedoms_count} for group in found.known.undetermined],
-        "joined_angle_rms_rad": _rms(found.angles_rad) if len(found.angles_rad) else None,
-        "remarks": list(remarks(found)),
-        "in_words": open_in_words(found.known.undetermined),
+        "second_base": {"origin_m": pair.base.origin_m, "orientation": quaternions(pair.base.rotation[None])[0]},
+        "undetermined": [{"names": group.names, "freedoms": group.freedoms_count} for group in pair.known.undetermined],
+        "joined_angle_rms_rad": _rms(pair.angles_rad) if len(pair.angles_rad) else None,
+        "remarks": list(remarks(pair)),
+        "in_words": open_in_words(pair.known.undetermined),
     }
 
 
@@ -334,10 +334,10 @@ NAMED = 6  # contacts, and parameters
 SPARE = 1.5  # rows of three numbers over the numbers that they determine
 
 
-def remarks(found: PairFound) -> Iterator[str]:
+def remarks(pair: PairFound) -> Iterator[str]:
     """Sentences, the gravest first; none for a result without reproach."""
-    before, after = found.held_before_m, found.held_after_m
-    is_enough = found.numbers_count >= SPARE * found.known.rank
+    before, after = pair.held_before_m, pair.held_after_m
+    is_enough = pair.numbers_count >= SPARE * pair.known.rank
     if len(after):
         left_m, nominal_m = float(np.median(after)), float(np.median(before))  # some contacts may be none
         if left_m > max(EXPLAINED * nominal_m, LEAST_m):
@@ -349,10 +349,10 @@ def remarks(found: PairFound) -> Iterator[str]:
         wrong = np.flatnonzero(after > max(CONTRADICTED * float(np.median(after)), LEAST_m))
         if len(wrong) and is_enough:
             worst = wrong[np.argsort(-after[wrong])]
-            named = [f"{found.names[row]} ({1e3 * after[row]:.2f} mm)" for row in worst[:NAMED]]
+            named = [f"{pair.names[row]} ({1e3 * after[row]:.2f} mm)" for row in worst[:NAMED]]
             more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
             yield f"Contradicted by the others: {', '.join(named)}{more}. Look at them; remove what was not a contact"
-    at_bound = [one.parameter.name for one in found.estimates if one.is_at_bound]
+    at_bound = [one.parameter.name for one in pair.estimates if one.is_at_bound]
     if at_bound:
         more = f" and {len(at_bound) - NAMED} more" if len(at_bound) > NAMED else ""
         yield (
@@ -361,6 +361,6 @@ def remarks(found: PairFound) -> Iterator[str]:
         )
     if not is_enough:
         yield (
-            f"{found.numbers_count} numbers determine {found.known.rank} parameters: the errors at the contacts of the fit say"
+            f"{pair.numbers_count} numbers determine {pair.known.rank} parameters: the errors at the contacts of the fit say"
             " nothing, and more contacts are needed"
         )

@@ -199,23 +199,23 @@ class _Conductor(Conversation):
         """Measure both arms, check, save; then report."""
         record = self._taken(target)
         verdict = self._station.watch.judge(record.q_rad, target.distance_m)
-        kept = self._folder.record(record)
-        self._station.watch.add(kept.key, kept.q_rad, target.distance_m)
-        yield Recorded(kept, verdict)
+        saved = self._folder.record(record)
+        self._station.watch.add(saved.key, saved.q_rad, target.distance_m)
+        yield Recorded(saved, verdict)
 
     def _taken(self, target: Target) -> Record:
         """One record of both arms: first both rest, then each is averaged."""
         station, how = self._station, self._station.settings
         for arm in station.arms:
             wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
-        one, two = (take(target, None, arm, how, None, station.clock_offset_s) for arm in station.arms)
+        first, second = (take(target, None, arm, how, None, station.clock_offset_s) for arm in station.arms)
         return replace(
-            one,
-            q_rad=one.q_rad + two.q_rad,
-            q_sd_rad=one.q_sd_rad + two.q_sd_rad,
-            direction=one.direction + two.direction,
-            current_A=one.current_A + two.current_A,
-            temperature_C=one.temperature_C + two.temperature_C,
+            first,
+            q_rad=first.q_rad + second.q_rad,
+            q_sd_rad=first.q_sd_rad + second.q_sd_rad,
+            direction=first.direction + second.direction,
+            current_A=first.current_A + second.current_A,
+            temperature_C=first.temperature_C + second.temperature_C,
             more={DISTANCE: f"{target.distance_m:g}"},
         )
 
@@ -282,9 +282,9 @@ class ContactWatch:
 
     def _contacts(self, seen: Sequence[_Seen]) -> Contacts:
         count = self._arms[0].joint_count
-        q_rad = np.array([one.q_rad for one in seen])
+        q_rad = np.array([contact.q_rad for contact in seen])
         names = tuple(str(k) for k in range(len(seen)))
-        distance_m = np.array([one.distance_m for one in seen])
+        distance_m = np.array([contact.distance_m for contact in seen])
         return Contacts(names, names, frozen(q_rad[:, :count]), frozen(q_rad[:, count:]), frozen(distance_m))
 
 

@@ -78,12 +78,12 @@ class Contacts:
     @property
     def keys(self) -> tuple[Key, ...]:
         """Setup, point and repeat of each: contacts of a file are named by all three, planned ones by the point."""
-        found = []
+        keys = []
         for name, setup in zip(self.name, self.setup, strict=True):
             rest = name.removeprefix(f"{setup}:")
             point, _, repeat = rest.rpartition(":")
-            found.append((setup, name, 1) if rest == name else (setup, point, int(repeat)))
-        return tuple(found)
+            keys.append((setup, name, 1) if rest == name else (setup, point, int(repeat)))
+        return tuple(keys)
 
     def chosen(self, rows: npt.ArrayLike) -> Contacts:
         """Some of them, by index."""
@@ -294,10 +294,10 @@ class PairProblem:
     def solution(self, x: Array) -> tuple[tuple[Arm, Arm], Frame]:
         """Both arms, and where the second base stands in the first. Gravity of the second is that of the first, as it stands."""
         parts, move, _ = self._parts(x)
-        one, two = (with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True))
+        first, second = (with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True))
         base = self.base.moved(self._centre, move)
-        down = tuple((base.rotation.T @ np.array(one.gravity_m_s2)).tolist())
-        return (one, dataclasses.replace(two, gravity_m_s2=down)), base
+        down = tuple((base.rotation.T @ np.array(first.gravity_m_s2)).tolist())
+        return (first, dataclasses.replace(second, gravity_m_s2=down)), base
 
     def angles_rad(self, x: Array) -> Array:
         """How far the orientation between joined tools is from that of their join, (r, 3)."""
@@ -313,12 +313,12 @@ class PairProblem:
 
     def _turned(self, x: Array, at_zero: bool) -> tuple[Array, Array]:
         """Angles (r, 3) between joined tools, and their Jacobian (r, 3, k) as lengths."""
-        (one, two), move, turns = self._parts(x)
+        (first_arm, second_arm), move, turns = self._parts(x)
         joins, (first, second) = self.joins, self._sizes
         if not len(joins):
             return np.zeros((0, 3)), np.zeros((0, 3, len(self.parameters)))
-        ours = self.models[0].slopes(one[0], self.contacts.first_rad[joins.rows], one[1])
-        theirs = self.models[1].slopes(two[0], self.contacts.second_rad[joins.rows], two[1])
+        ours = self.models[0].slopes(first_arm[0], self.contacts.first_rad[joins.rows], first_arm[1])
+        theirs = self.models[1].slopes(second_arm[0], self.contacts.second_rad[joins.rows], second_arm[1])
         turn = rotation_of(move[3:]) @ self.base.rotation
         errors = joins.errors(turns, ours.by_tool, turn @ theirs.by_tool)
         by_first, by_second = np.zeros((2, len(joins), 3, self._whole))
@@ -333,13 +333,13 @@ class PairProblem:
         """DH table and tool of each arm, the base's move (6,), and each join's turn (j, 3)."""
         whole = np.zeros(self._whole)
         whole[self._places] = x * self._scale
-        found, start = [], 0
+        parts, start = [], 0
         for arm, model, size in zip(self.arms, self.models, self._sizes, strict=True):
-            own = whole[start : start + size]
-            tool = model.nominal_tool_m + (own[arm.dh.size :] if size > arm.dh.size else 0.0)
-            found.append((arm.dh + own[: arm.dh.size].reshape(-1, 4), tool))
+            deviations = whole[start : start + size]
+            tool = model.nominal_tool_m + (deviations[arm.dh.size :] if size > arm.dh.size else 0.0)
+            parts.append((arm.dh + deviations[: arm.dh.size].reshape(-1, 4), tool))
             start += size
-        return found, whole[start : start + 6], whole[start + 6 :].reshape(-1, 3)
+        return parts, whole[start : start + 6], whole[start + 6 :].reshape(-1, 3)
 
     def _gaps(self, x: Array) -> tuple[Array, Array]:
         """From the first to the second tip (m, 3), and its derivatives (m, 3, K) by every parameter in its own unit."""
@@ -373,12 +373,12 @@ def with_geometry(arm: Arm, dh: Array, tool_m: Array) -> Arm:
 
 
 def _of_arm(name: str, arm: Arm, bounds: Bounds, free_tools: Collection[str]) -> list[Parameter]:
-    found = [dataclasses.replace(p, name=f"{name}_{p.name}") for p in dh_parameters(arm.dh, bounds)]
+    parameters = [dataclasses.replace(p, name=f"{name}_{p.name}") for p in dh_parameters(arm.dh, bounds)]
     if name in free_tools:
-        found += [
+        parameters += [
             Parameter(f"{name}_tool_{axis}", "m", value, math.inf) for axis, value in zip(AXES, arm.tool.position_m, strict=True)
         ]
-    return found
+    return parameters
 
 
 def _lengths(vectors: Array) -> tuple[Array, Array]:
@@ -450,7 +450,7 @@ class Joins:
 
 def turning(slopes: TipSlopes) -> Array:
     """How the last link turns with dh.ravel(), (m, 3, 4 links)."""
-    found = np.zeros(slopes.by_dh.shape)
-    found[:, :, THETA::4] = slopes.by_dh[:, :, D::4]
-    found[:, :, ALPHA::4] = slopes.by_dh[:, :, L::4]
-    return found
+    turns = np.zeros(slopes.by_dh.shape)
+    turns[:, :, THETA::4] = slopes.by_dh[:, :, D::4]
+    turns[:, :, ALPHA::4] = slopes.by_dh[:, :, L::4]
+    return turns

@@ -61,11 +61,11 @@ class SharedRoom:
 
     def _to_spare_m(self, first_rad: Sequence[float], second_rad: Sequence[float]) -> float:
         """How much more than asked for the nearest parts are apart, AHEAD_m at most."""
-        one, two = self._bodies[0].at(first_rad), self._bodies[1].at(second_rad)
-        between_m = least_gap(one, two, self._pairs, self._least_m + AHEAD_m).gap_m - self._least_m
+        first, second = self._bodies[0].at(first_rad), self._bodies[1].at(second_rad)
+        between_m = least_gap(first, second, self._pairs, self._least_m + AHEAD_m).gap_m - self._least_m
         own_m = [
             least_gap(at, at, pairs, MARGIN_m + AHEAD_m).gap_m - MARGIN_m
-            for pairs, at in zip(self._own_pairs, (one, two), strict=True)
+            for pairs, at in zip(self._own_pairs, (first, second), strict=True)
         ]
         return min(AHEAD_m, between_m, *own_m)
 
@@ -170,9 +170,9 @@ class Candidates:
 
 def base_of(cell: Cell, names: tuple[str, str]) -> Frame:
     """Where the second arm's base stands in the base frame of the first, by the cell's file."""
-    one, two = (cell.placed(name) for name in names)
-    turn = np.array(one.rotation).T @ np.array(two.rotation)
-    return Frame(f"{two.name}_base", frozen(turn), frozen(np.array(one.in_base(two.origin_m))))
+    first, second = (cell.placed(name) for name in names)
+    turn = np.array(first.rotation).T @ np.array(second.rotation)
+    return Frame(f"{second.name}_base", frozen(turn), frozen(np.array(first.in_base(second.origin_m))))
 
 
 def contact_candidates(cell: Cell, names: tuple[str, str], distances_m: Sequence[float], drawn: int = DRAWN) -> Candidates:
@@ -180,27 +180,27 @@ def contact_candidates(cell: Cell, names: tuple[str, str], distances_m: Sequence
 
     The distances [m] between the tips take turns; 0 is one place. For the distances, directions are drawn (seeded).
     """
-    one, two = (cell.placed(name) for name in names)
+    ours, theirs = (cell.placed(name) for name in names)
     base, rng = base_of(cell, names), np.random.default_rng(SEED)
-    first = spread_poses(joint_box(one.arm), drawn)
-    first = first[_is_fit(one.arm, first)]
-    tips = ArmModel(one.arm).tips(one.arm.dh, first)
+    first = spread_poses(joint_box(ours.arm), drawn)
+    first = first[_is_fit(ours.arm, first)]
+    tips = ArmModel(ours.arm).tips(ours.arm.dh, first)
     apart = np.resize(np.array(distances_m), len(first))
     way = rng.normal(size=tips.shape)
     way /= np.linalg.norm(way, axis=1)[:, None]
     goal = (tips + apart[:, None] * way - base.origin_m) @ base.rotation
-    near = np.linalg.norm(goal, axis=1) < reach_m(two.arm)
+    near = np.linalg.norm(goal, axis=1) < reach_m(theirs.arm)
     first, apart, goal = first[near], apart[near], goal[near]
-    box = joint_box(two.arm)
-    second, which = postures(ArmModel(two.arm), goal, spread_poses(box, STARTS), box)
-    rows = _is_fit(two.arm, second)
-    return _clear(cell, (one, two), first[which[rows]], second[rows], apart[which[rows]])
+    box = joint_box(theirs.arm)
+    second, which = postures(ArmModel(theirs.arm), goal, spread_poses(box, STARTS), box)
+    rows = _is_fit(theirs.arm, second)
+    return _clear(cell, (ours, theirs), first[which[rows]], second[rows], apart[which[rows]])
 
 
 def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array, apart: Array) -> Candidates:
     """The contacts that are clear, that both arms can back off from, and to which there is a way from their rest poses."""
     room = SharedRoom(cell, pair)
-    kept: list[int] = []
+    clear: list[int] = []
     away: tuple[list[Sequence[float]], list[Sequence[float]]] = ([], [])
     for row, (q1, q2) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         if not room.is_clear(q1, q2):
@@ -209,20 +209,20 @@ def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array,
         if off is None or not room.is_clear(*off):
             continue
         if room.way(room.rest_rad, off) is not None:
-            kept.append(row)
+            clear.append(row)
             away[0].append(off[0])
             away[1].append(off[1])
     contacts = Contacts(
-        tuple(f"c{k + 1}" for k in range(len(kept))),
-        tuple(CAVITY if apart[row] == 0.0 else APART for row in kept),
-        frozen(first[kept]),
-        frozen(second[kept]),
-        frozen(apart[kept]),
+        tuple(f"c{k + 1}" for k in range(len(clear))),
+        tuple(CAVITY if apart[row] == 0.0 else APART for row in clear),
+        frozen(first[clear]),
+        frozen(second[clear]),
+        frozen(apart[clear]),
     )
     return Candidates(
         contacts,
-        frozen(np.reshape(away[0], (len(kept), first.shape[1]))),
-        frozen(np.reshape(away[1], (len(kept), second.shape[1]))),
+        frozen(np.reshape(away[0], (len(clear), first.shape[1]))),
+        frozen(np.reshape(away[1], (len(clear), second.shape[1]))),
     )
 
 
@@ -256,10 +256,10 @@ def pair_of(cell: Cell, asked: Sequence[str] | None = None) -> tuple[str, str]:
     names = asked or cell.names
     if len(names) != 2:
         raise ArmError(f"cell {cell.name!r} has {', '.join(names)}: name two of them with --arms")
-    one, two = (cell.placed(name).name for name in names)
-    if one == two:
-        raise ArmError(f"--arms: expected two different arms, got {one} twice")
-    return one, two
+    first, second = (cell.placed(name).name for name in names)
+    if first == second:
+        raise ArmError(f"--arms: expected two different arms, got {first} twice")
+    return first, second
 
 
 def plan_contacts(
@@ -268,18 +268,18 @@ def plan_contacts(
     """Plan `count` contacts. CalibrationError if the arms can meet at fewer places."""
     first, second = (cell.placed(name).arm for name in names)
     arms, base, plan = (first, second), base_of(cell, names), plan or PairPlan()
-    found = contact_candidates(cell, names, distances_m, drawn)
-    if len(found.contacts) < count:
+    offers = contact_candidates(cell, names, distances_m, drawn)
+    if len(offers.contacts) < count:
         raise CalibrationError(
-            f"{count} contacts were requested, but there are only {len(found.contacts)} places that both arms reach, clear of"
+            f"{count} contacts were requested, but there are only {len(offers.contacts)} places that both arms reach, clear of"
             f" each other by clearance_m and 0.03 m (only the last tool_length_m of an arm, {cell.tool_length_m:g} m"
             " here, may come near the other's)"
         )
-    rows = choose_contacts(arms, found.contacts, plan, count, NOISE_m, base)
-    rest = [row for row in range(len(found.contacts)) if row not in set(rows)]
-    chosen = found.chosen(rows)
+    rows = choose_contacts(arms, offers.contacts, plan, count, NOISE_m, base)
+    rest = [row for row in range(len(offers.contacts)) if row not in set(rows)]
+    chosen = offers.chosen(rows)
     known = what_they_determine(arms, chosen.contacts, base, plan)
-    return ContactPlan(arms, chosen, known, len(found.contacts), found.chosen(rest))
+    return ContactPlan(arms, chosen, known, len(offers.contacts), offers.chosen(rest))
 
 
 def what_they_determine(arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan) -> Determinability:

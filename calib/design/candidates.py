@@ -61,21 +61,21 @@ def spread_poses(box: tuple[Array, Array], count: int, edge_share: float = 0.0) 
 
 def _radical_inverse(count: int, base: int) -> Array:
     """Halton's sequence in one base: the digits of 1 .. count mirrored at the point."""
-    left, inverse, share = np.arange(1, count + 1), np.zeros(count), 1.0 / base
-    while left.any():
-        inverse += share * (left % base)
-        left, share = left // base, share / base
+    rest, inverse, share = np.arange(1, count + 1), np.zeros(count), 1.0 / base
+    while rest.any():
+        inverse += share * (rest % base)
+        rest, share = rest // base, share / base
     return inverse
 
 
 def _primes(count: int) -> list[int]:
-    found: list[int] = []
+    primes: list[int] = []
     number = 2
-    while len(found) < count:
-        if all(number % prime for prime in found):
-            found.append(number)
+    while len(primes) < count:
+        if all(number % prime for prime in primes):
+            primes.append(number)
         number += 1
-    return found
+    return primes
 
 
 def postures(model: ArmModel, targets_m: Array, starts_rad: Array, box: tuple[Array, Array]) -> tuple[Array, Rows]:
@@ -175,11 +175,11 @@ def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame])
     """The default setups to plan for: the table's own, measured ones, and those of the points."""
     if arm.table is None:
         return []
-    own = ["normal"] if arm.table.origin_m is not None else []
-    own += ["roll"] if own and arm.table.roll_tilt_rad else []
-    own += ["pitch"] if own and arm.table.pitch_tilt_rad else []
+    of_table = ["normal"] if arm.table.origin_m is not None else []
+    of_table += ["roll"] if of_table and arm.table.roll_tilt_rad else []
+    of_table += ["pitch"] if of_table and arm.table.pitch_tilt_rad else []
     seated = [] if points is None else [s for s, p in zip(points.setup, points.point, strict=True) if p in _all(arm)]
-    return list(dict.fromkeys([*own, *measured, *(setup for setup in seated if setup != "free")]))
+    return list(dict.fromkeys([*of_table, *measured, *(setup for setup in seated if setup != "free")]))
 
 
 def placed_boards(
@@ -197,14 +197,14 @@ def placed_boards(
 
 
 def boards_in_the_way(
-    arm: Arm, taken: Points | None, measured: Mapping[str, Frame], planned: Mapping[str, PlacedBoard]
+    arm: Arm, recorded: Points | None, measured: Mapping[str, Frame], planned: Mapping[str, PlacedBoard]
 ) -> tuple[PlacedBoard, ...]:
     """Possible poses of the board while free poses are recorded: in every setup with a known pose."""
-    found = dict(planned)
-    for setup in usual_setups(arm, taken, measured):
+    boards = dict(planned)
+    for setup in usual_setups(arm, recorded, measured):
         with contextlib.suppress(CalibrationError):
-            found.setdefault(setup, _placed(arm, setup, taken, measured))
-    return tuple(found.values())
+            boards.setdefault(setup, _placed(arm, setup, recorded, measured))
+    return tuple(boards.values())
 
 
 def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, Frame]) -> PlacedBoard:
@@ -283,7 +283,7 @@ class CameraBox:
         return np.asarray(((tips_m >= self.lower_m) & (tips_m <= self.upper_m)).all(axis=1))
 
 
-def table_candidates(arm: Arm, board: PlacedBoard, taken: Points | None, sees_tip: bool) -> Points:
+def table_candidates(arm: Arm, board: PlacedBoard, recorded: Points | None, sees_tip: bool) -> Points:
     """Cavities of one setup in every posture of the arm, without those already recorded.
 
     `sees_tip`: a camera also measures the tip in the cavity, so it is known without the board.
@@ -294,7 +294,7 @@ def table_candidates(arm: Arm, board: PlacedBoard, taken: Points | None, sees_ti
     rows = np.flatnonzero(_is_clear_of_board(arm, q, board))
     rows = _first_of_each(rows, which)
     names = [board.names[which[row]] for row in rows]
-    free = [k for k, row in enumerate(rows) if not _is_taken(taken, board.setup, names[k], q[row])]
+    free = [k for k, row in enumerate(rows) if not _is_taken(recorded, board.setup, names[k], q[row])]
     rows, names = rows[free], [names[k] for k in free]
     tips = board.positions_m[which[rows]] if sees_tip else np.full((len(rows), 3), np.nan)
     return make_points([board.setup] * len(rows), names, [1] * len(rows), q[rows], tips)
@@ -362,10 +362,10 @@ def joined(parts: Collection[Points]) -> Points:
     )
 
 
-def named(chosen: Points, taken: Points | None) -> Points:
+def named(chosen: Points, recorded: Points | None) -> Points:
     """The points with names for free poses, and repeats, that no recorded point has."""
-    have = Counter() if taken is None else Counter(zip(taken.setup, taken.point, strict=True))
-    highest = {} if taken is None else _highest_repeats(taken)
+    have = Counter() if recorded is None else Counter(zip(recorded.setup, recorded.point, strict=True))
+    highest = {} if recorded is None else _highest_repeats(recorded)
     points, repeats, number = [], [], 0
     for setup, point in zip(chosen.setup, chosen.point, strict=True):
         if setup == FREE:
@@ -379,11 +379,11 @@ def named(chosen: Points, taken: Points | None) -> Points:
     return make_points(chosen.setup, points, repeats, chosen.q_rad, chosen.tip_m)
 
 
-def _highest_repeats(taken: Points) -> dict[tuple[str, str], int]:
-    found: dict[tuple[str, str], int] = {}
-    for setup, point, repeat in zip(taken.setup, taken.point, taken.repeat, strict=True):
-        found[setup, point] = max(repeat, found.get((setup, point), 0))
-    return found
+def _highest_repeats(recorded: Points) -> dict[tuple[str, str], int]:
+    highest: dict[tuple[str, str], int] = {}
+    for setup, point, repeat in zip(recorded.setup, recorded.point, recorded.repeat, strict=True):
+        highest[setup, point] = max(repeat, highest.get((setup, point), 0))
+    return highest
 
 
 def _is_clear_of_board(arm: Arm, q: Array, board: PlacedBoard) -> Mask:
@@ -404,9 +404,9 @@ def _first_of_each(rows: Rows, which: Rows) -> Rows:
     return np.array(chosen, dtype=np.intp)
 
 
-def _is_taken(taken: Points | None, setup: str, point: str, q_rad: Array) -> bool:
+def _is_taken(recorded: Points | None, setup: str, point: str, q_rad: Array) -> bool:
     """Whether the points contain this cavity in about this posture."""
-    if taken is None:
+    if recorded is None:
         return False
-    rows = [k for k in range(len(taken)) if (taken.setup[k], taken.point[k]) == (setup, point)]
-    return bool(len(rows)) and float(np.abs(taken.q_rad[rows] - q_rad).max(axis=1).min()) < TAKEN_RAD
+    rows = [k for k in range(len(recorded)) if (recorded.setup[k], recorded.point[k]) == (setup, point)]
+    return bool(len(rows)) and float(np.abs(recorded.q_rad[rows] - q_rad).max(axis=1).min()) < TAKEN_RAD

@@ -281,9 +281,9 @@ def _index(experiment: Experiment, information: Array, rows: Array, index: Calla
     lever = rows @ covariance
     worth = np.einsum("cik,cik->c", lever, lever)
     listed = np.argsort(-worth, kind="stable")[:SHORTLIST]
-    own = lever[listed][:, :, : experiment.rank] @ experiment.visible
+    visible = lever[listed][:, :, : experiment.rank] @ experiment.visible
     before = experiment.visible.T @ covariance[: experiment.rank, : experiment.rank] @ experiment.visible
-    fall = own.transpose(0, 2, 1) @ np.linalg.solve(_growth(lever[listed], rows[listed]), own)
+    fall = visible.transpose(0, 2, 1) @ np.linalg.solve(_growth(lever[listed], rows[listed]), visible)
     variances = np.maximum(np.linalg.eigvalsh(before - fall), 1e-300)
     scores = np.full(len(rows), -np.inf)
     scores[listed] = index(1.0 / np.sqrt(variances))

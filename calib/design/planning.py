@@ -130,7 +130,7 @@ class Group:
 
 
 def select(
-    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group], start: Sequence[int] | None = None
+    experiment: Experiment, criterion: Criterion, recorded: Rows, groups: Sequence[Group], start: Sequence[int] | None = None
 ) -> list[int]:
     """Rows of the best poses to add to those recorded, with the count of each group.
 
@@ -143,43 +143,43 @@ def select(
                 f"{group.count} {group.name} were requested, but only {len(group.rows)} are available: request fewer"
             )
     if start is None:
-        chosen = _greedy(experiment, criterion, taken, groups)
+        chosen = _greedy(experiment, criterion, recorded, groups)
     else:
         chosen = [(row, next(k for k, group in enumerate(groups) if row in group.rows)) for row in start]
-    _exchange(experiment, criterion, taken, groups, chosen)
+    _exchange(experiment, criterion, recorded, groups, chosen)
     rows = np.array([row for row, _ in chosen], dtype=np.intp)
-    ordered = _greedy(experiment, criterion, taken, [Group("poses", rows, len(rows))])
+    ordered = _greedy(experiment, criterion, recorded, [Group("poses", rows, len(rows))])
     return [row for row, _ in ordered]
 
 
-def _greedy(experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]) -> list[tuple[int, int]]:
+def _greedy(experiment: Experiment, criterion: Criterion, recorded: Rows, groups: Sequence[Group]) -> list[tuple[int, int]]:
     """(row, group) of each choice: the best of all groups that are not complete yet."""
-    information = experiment.information(taken)
-    left = [np.array(group.rows) for group in groups]
+    information = experiment.information(recorded)
+    rest = [np.array(group.rows) for group in groups]
     open_count = [group.count for group in groups]
     chosen: list[tuple[int, int]] = []
     while any(open_count):
-        places = [(k, rows) for k, rows in enumerate(left) if open_count[k]]
+        places = [(k, rows) for k, rows in enumerate(rest) if open_count[k]]
         rows = np.concatenate([rows for _, rows in places])
         owner = np.concatenate([np.full(len(rows), k) for k, rows in places])
         best = int(np.argmax(criterion(experiment, information, experiment.rows[rows])))
         row, group = int(rows[best]), int(owner[best])
         chosen.append((row, group))
         open_count[group] -= 1
-        left = [rows[rows != row] for rows in left]
+        rest = [rows[rows != row] for rows in rest]
         information = information + np.asarray(experiment.rows[row].T @ experiment.rows[row])
     return chosen
 
 
 def _exchange(
-    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group], chosen: list[tuple[int, int]]
+    experiment: Experiment, criterion: Criterion, recorded: Rows, groups: Sequence[Group], chosen: list[tuple[int, int]]
 ) -> None:
     """Replace each choice by the best of its group, again and again, until nothing changes."""
     for _ in range(SWEEPS_LIMIT):
         is_changed = False
         for place, (row, group) in enumerate(chosen):
             others = [other for other, _ in chosen if other != row]
-            information = experiment.information(np.array([*taken, *others], dtype=np.intp))
+            information = experiment.information(np.array([*recorded, *others], dtype=np.intp))
             rows = groups[group].rows[~np.isin(groups[group].rows, others)]
             scores = criterion(experiment, information, experiment.rows[rows])
             best, own = int(np.argmax(scores)), float(scores[np.flatnonzero(rows == row)[0]])
@@ -235,11 +235,11 @@ def clear_ways(arm: Arm, q_rad: Array, boards: Iterable[PlacedBoard]) -> Mask:
 
 def short_path(ways: Array) -> list[int]:
     """A short path through all places of the matrix (m, m), from the first."""
-    path, left = [0], set(range(1, len(ways)))
-    while left:
-        nearest = min(left, key=lambda k: (ways[path[-1], k], k))
+    path, unvisited = [0], set(range(1, len(ways)))
+    while unvisited:
+        nearest = min(unvisited, key=lambda k: (ways[path[-1], k], k))
         path.append(nearest)
-        left.remove(nearest)
+        unvisited.remove(nearest)
     return _untangled(path, ways)
 
 
@@ -344,11 +344,11 @@ def _gain(plan: Plan) -> str:
 
 def _alternatives_in_words(plan: Plan) -> list[str]:
     """Comparison of kinds, and of roll with pitch, by a few poses of each."""
-    few = {one.setup: one for one in sorted(plan.alternatives, key=lambda one: -one.count)}
-    ranked = sorted(few.values(), key=lambda one: one.after.tip_m)
+    few = {alone.setup: alone for alone in sorted(plan.alternatives, key=lambda alone: -alone.count)}
+    ranked = sorted(few.values(), key=lambda alone: alone.after.tip_m)
     sentences = []
     if len(ranked) > 1:
-        parts = ", ".join(f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in ranked)
+        parts = ", ".join(f"{kind(alone.setup, alone.count)} {length(alone.after.tip_m)}" for alone in ranked)
         sentences.append(f"Uncertainty with one kind alone: {parts}.")
     if FREE in few and set(plan.points.setup) != {FREE}:
         sentences += _free_alone(plan, few[FREE])
@@ -419,33 +419,33 @@ class _Offer:
     by_setup: dict[str, Rows]
 
 
-def plan_poses(arm: Arm, taken: Points | None, request: Request, choice: Choice | None = None) -> Plan:
+def plan_poses(arm: Arm, recorded: Points | None, request: Request, choice: Choice | None = None) -> Plan:
     """Plan the poses to record next.
 
     `choice` for the identification: fixed and freed parameters, bounds, measured boards. CalibrationError for
     a request that cannot be met.
     """
     wanted = choice or Choice()
-    if taken is not None:
-        require_of_arm(arm, taken, wanted)
+    if recorded is not None:
+        require_of_arm(arm, recorded, wanted)
     criterion_of(request.criterion)  # report an unknown criterion before anything takes time
     noise_m = _noise_m(arm, request)
-    setups = _setups(arm, taken, request, wanted)
-    boards = placed_boards(arm, setups, taken, wanted.boards)
+    setups = _setups(arm, recorded, request, wanted)
+    boards = placed_boards(arm, setups, recorded, wanted.boards)
     others = _other_tilts(arm, setups, request)
-    in_the_way = boards_in_the_way(arm, taken, wanted.boards, boards)
-    offer = _offer_of(arm, taken, request, wanted, {**boards, **others}, in_the_way, noise_m)
+    in_the_way = boards_in_the_way(arm, recorded, wanted.boards, boards)
+    offer = _offer_of(arm, recorded, request, wanted, {**boards, **others}, in_the_way, noise_m)
     chosen = _chosen(offer, request, setups)
-    alternatives = [one for setup in offer.by_setup for one in _alternatives(offer, request.criterion, setup)]
+    alternatives = [alone for setup in offer.by_setup for alone in _alternatives(offer, request.criterion, setup)]
     order = visiting_order(arm, offer.poses.chosen(chosen), setups, in_the_way)
-    points = named(offer.poses.chosen([chosen[k] for k in order]), taken)
+    points = named(offer.poses.chosen([chosen[k] for k in order]), recorded)
     return Plan(
         criterion=request.criterion,
         noise_m=noise_m,
         poses=_planned_poses(offer, chosen, points, order),
         points=points,
         before=uncertainty_of(offer.experiment, offer.taken),
-        alternatives=tuple(sorted(alternatives, key=lambda one: one.after.tip_m)),
+        alternatives=tuple(sorted(alternatives, key=lambda alone: alone.after.tip_m)),
         candidates={setup: len(rows) for setup, rows in offer.by_setup.items() if setup not in others},
         combinations_count=offer.experiment.rank,
         is_tied=offer.experiment.is_tied,
@@ -465,21 +465,21 @@ def _noise_m(arm: Arm, request: Request) -> float:
     return noise_m
 
 
-def _turn_noise_rad(arm: Arm, taken: Points | None, request: Request) -> float | None:
+def _turn_noise_rad(arm: Arm, recorded: Points | None, request: Request) -> float | None:
     """The noise of measured orientations: as asked for, or as for the calibration if the points taken have some."""
-    has_some = taken is not None and bool(np.isfinite(taken.orientation).any())
+    has_some = recorded is not None and bool(np.isfinite(recorded.orientation).any())
     if request.turn_noise_rad is not None or not has_some:
         return request.turn_noise_rad
     return turn_noise_rad(arm)
 
 
-def _setups(arm: Arm, taken: Points | None, request: Request, choice: Choice) -> list[str]:
+def _setups(arm: Arm, recorded: Points | None, request: Request, choice: Choice) -> list[str]:
     """The setups to plan in."""
     if request.only == "free" or (request.free_count is not None and request.free_count == request.count):
         return []
     if request.setups is not None:
         return list(dict.fromkeys(request.setups))
-    return usual_setups(arm, taken, choice.boards)
+    return usual_setups(arm, recorded, choice.boards)
 
 
 def _other_tilts(arm: Arm, setups: list[str], request: Request) -> dict[str, PlacedBoard]:
@@ -493,7 +493,7 @@ def _other_tilts(arm: Arm, setups: list[str], request: Request) -> dict[str, Pla
 
 def _offer_of(
     arm: Arm,
-    taken: Points | None,
+    recorded: Points | None,
     request: Request,
     choice: Choice,
     boards: Mapping[str, PlacedBoard],
@@ -501,21 +501,21 @@ def _offer_of(
     noise_m: float,
 ) -> _Offer:
     """Candidates of all kinds as one experiment."""
-    sees_tip = taken is not None and any(
-        setup != FREE and np.isfinite(tip).all() for setup, tip in zip(taken.setup, taken.tip_m, strict=True)
+    sees_tip = recorded is not None and any(
+        setup != FREE and np.isfinite(tip).all() for setup, tip in zip(recorded.setup, recorded.tip_m, strict=True)
     )
-    parts = {setup: table_candidates(arm, board, taken, sees_tip) for setup, board in boards.items()}
+    parts = {setup: table_candidates(arm, board, recorded, sees_tip) for setup, board in boards.items()}
     if arm.camera is not None and request.only != "table":
         parts[FREE] = free_candidates(arm, in_the_way, request.view)
     if not any(len(part) for part in parts.values()):
         raise CalibrationError(_nothing_to_plan(arm, request))
-    poses = joined([*([] if taken is None else [taken]), *parts.values()])
+    poses = joined([*([] if recorded is None else [recorded]), *parts.values()])
     unseen = {s: board.frame for s, board in boards.items() if board.is_known and s not in choice.boards}
     known = dataclasses.replace(choice, boards={**choice.boards, **unseen})
     workspace = workspace_poses(arm, in_the_way, 2 * WORKSPACE_POSES_COUNT)[:WORKSPACE_POSES_COUNT]
-    starts = np.cumsum([0 if taken is None else len(taken), *(len(part) for part in parts.values())])
+    starts = np.cumsum([0 if recorded is None else len(recorded), *(len(part) for part in parts.values())])
     return _Offer(
-        experiment_of(arm, poses, workspace, noise_m, known, _turn_noise_rad(arm, taken, request)),
+        experiment_of(arm, poses, workspace, noise_m, known, _turn_noise_rad(arm, recorded, request)),
         poses,
         np.arange(starts[0]),
         {setup: np.arange(a, b) for setup, a, b in zip(parts, starts[:-1], starts[1:], strict=True)},
@@ -593,20 +593,20 @@ def _alternatives(offer: _Offer, criterion: str, setup: str) -> list[Alternative
     if setup != FREE and len(rows) > count:
         choices.append(rows.tolist())
     before = uncertainty_of(offer.experiment, offer.taken)
-    found = []
+    alternatives = []
     for chosen in choices:
         after = uncertainty_of(offer.experiment, [*offer.taken, *chosen])
-        found.append(Alternative(setup, len(chosen), after.log_det - before.log_det, after))
-    return found
+        alternatives.append(Alternative(setup, len(chosen), after.log_det - before.log_det, after))
+    return alternatives
 
 
 def _planned_poses(offer: _Offer, chosen: list[int], points: Points, order: list[int]) -> tuple[PlannedPose, ...]:
     """The gain of each pose when added to the previous ones; `points` are in visiting order."""
-    found = []
+    planned = []
     before = uncertainty_of(offer.experiment, offer.taken)
     for k in range(len(chosen)):
         after, at = uncertainty_of(offer.experiment, [*offer.taken, *chosen[: k + 1]]), order.index(k)
-        found.append(
+        planned.append(
             PlannedPose(
                 points.setup[at],
                 points.point[at],
@@ -618,7 +618,7 @@ def _planned_poses(offer: _Offer, chosen: list[int], points: Points, order: list
             )
         )
         before = after
-    return tuple(found)
+    return tuple(planned)
 
 
 def _blocked(arm: Arm, visited: Points, boards: tuple[PlacedBoard, ...]) -> tuple[tuple[str, str], ...]:

@@ -171,10 +171,10 @@ def _held_out(problem: DistanceProblem, objective: Objective, advance: Advance) 
     for fold in range(FOLDS):
         advance("leaving readings out", 0.4 + 0.6 * fold / FOLDS)
         is_out = everything % FOLDS == fold
-        left = problem.of_readings(everything[~is_out])
-        if not all(len(left.readings.of(device.name)) >= LEAST[device.kind] for device in _placed(problem)):
+        training = problem.of_readings(everything[~is_out])
+        if not all(len(training.readings.of(device.name)) >= LEAST[device.kind] for device in _placed(problem)):
             return frozen(np.zeros(0))
-        x = solved(left, objective).x
+        x = solved(training, objective).x
         held[is_out] = problem.errors_m(x)[is_out]
     return frozen(held)
 
@@ -187,31 +187,31 @@ def _placed(problem: DistanceProblem) -> list[Device]:
 def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Minimum) -> Identification:
     x, zero = best.x, np.zeros(len(best.x))
     before, after = problem.residuals(zero), problem.residuals(x)
-    found: Estimation = uncertainty(problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x)))
+    estimation: Estimation = uncertainty(problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x)))
     dh, tool = problem.arm_at(x)
-    own = 0 if tips is None else len(tips.parameters)
-    frames = (Frame.base(),) if tips is None else tips.solution(x[:own]).frames
+    tips_count = 0 if tips is None else len(tips.parameters)
+    frames = (Frame.base(),) if tips is None else tips.solution(x[:tips_count]).frames
     errors = [_as_vectors(problem.errors_m(at)) for at in (zero, x)]
     if tips is not None:
-        errors = [np.concatenate((tips.residuals(at[:own]), e)) for at, e in zip((zero, x), errors, strict=True)]
+        errors = [np.concatenate((tips.residuals(at[:tips_count]), e)) for at, e in zip((zero, x), errors, strict=True)]
     return Identification(
         objective=best.objective.name,
         solution=ModelValues(frozen(dh), frozen(tool), frames, {}),
         nominal_dh=frozen(problem.model.nominal_dh),
-        estimates=found.estimates,
+        estimates=estimation.estimates,
         objective_before=value_of(best.objective, before),
         objective_after=value_of(best.objective, after),
         error_before_m=frozen(errors[0]),
         error_after_m=frozen(errors[1]),
-        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - found.known.rank))),
-        rank=found.known.rank,
-        condition_number=found.known.condition_number,
-        singular_values=found.known.singular_values,
-        undetermined=found.known.undetermined,
+        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - estimation.known.rank))),
+        rank=estimation.known.rank,
+        condition_number=estimation.known.condition_number,
+        singular_values=estimation.known.singular_values,
+        undetermined=estimation.known.undetermined,
         steps_count=best.steps_count,
         is_converged=best.is_converged,
         x=frozen(x),
-        noise=found.noise,
+        noise=estimation.noise,
     )
 
 

@@ -206,12 +206,12 @@ class Device:
         way = first - (place if self.kind == WIRE else second)
         length = norms(way)
         along = way / np.maximum(length, 1e-12)[:, None]
-        own = np.zeros((len(first), len(self.parameters)))
+        by_device = np.zeros((len(first), len(self.parameters)))
         if self.kind == WIRE:
             if not self.is_known:
-                own[:, :3] = -along
-            own[:, 0 if self.is_known else 3 :] = 1.0
-        return zero_m + length, along, -along if self.kind == BETWEEN else np.zeros_like(along), own
+                by_device[:, :3] = -along
+            by_device[:, 0 if self.is_known else 3 :] = 1.0
+        return zero_m + length, along, -along if self.kind == BETWEEN else np.zeros_like(along), by_device
 
     def _by_gauge(self, values: Array, tips: Array, along: Array, zero_m: float) -> tuple[Array, Array, Array, Array]:
         size = float(np.linalg.norm(self.place + values[:2] @ self.axes))
@@ -236,8 +236,8 @@ def devices_of(
 
 
 def _device(name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int) -> Device:
-    rows, (kind, _, own) = readings.of(name), name.partition(":")
-    is_known = kind == WIRE and own in known_m
+    rows, (kind, _, label) = readings.of(name), name.partition(":")
+    is_known = kind == WIRE and label in known_m
     least = 1 if is_known or kind == BETWEEN else LEAST[kind] + (kind == WIRE and free_zero) + to_spare
     if len(rows) < least:
         raise UnusablePointsError(f'"{name}": {len(rows)} readings, {least} are needed to find where it stands')
@@ -245,7 +245,7 @@ def _device(name: str, readings: Readings, tips: Array, free_zero: bool, known_m
     axes, zero_m, place = np.zeros((0, 3)), 0.0, np.zeros(3)
     units: tuple[tuple[str, str], ...] = (("zero", "m"),) if kind == WIRE and free_zero else ()
     if is_known:
-        place = np.array(known_m[own])
+        place = np.array(known_m[label])
         zero_m = float(np.mean(length - norms(at - place))) if free_zero else 0.0
     elif kind == WIRE:
         place, zero_m = _fixed_point(at, length, free_zero)
@@ -348,17 +348,17 @@ class DistanceProblem:
         """
         self.model, self.readings, self.devices, self._inner = model, readings, devices, inner
         self._unit_m, self._tool_m = unit_m, frozen(tool_m)
-        own = _of_the_arm(model, bounds or Bounds(), is_tool_free, tool_m)
+        of_arm = _of_the_arm(model, bounds or Bounds(), is_tool_free, tool_m)
         of_devices = [parameter for device in devices for parameter in device.parameters]
-        require_known_names(() if inner is not None else fixed, [p.name for p in own])
-        left = inner.parameters if inner is not None else tuple(p for p in own if p.name not in fixed)
-        self._count = len(left)
-        self.parameters = (*left, *of_devices)
+        require_known_names(() if inner is not None else fixed, [p.name for p in of_arm])
+        free = inner.parameters if inner is not None else tuple(p for p in of_arm if p.name not in fixed)
+        self._count = len(free)
+        self.parameters = (*free, *of_devices)
         self._scale = np.array([p.scale for p in self.parameters])
         places = {name: k for k, name in enumerate((*dh_names(len(model.nominal_dh)), *TOOL_NAMES))}
         self._whole = len(places) + len(of_devices)
         self._devices_at = len(places)
-        known = [(k, places[p.name]) for k, p in enumerate(left) if p.name in places]
+        known = [(k, places[p.name]) for k, p in enumerate(free) if p.name in places]
         known += [(self._count + k, self._devices_at + k) for k in range(len(of_devices))]
         self._from, self._to = np.array(known, dtype=np.intp).reshape(-1, 2).T
         self._rows = [readings.of(device.name) for device in devices]
@@ -372,10 +372,10 @@ class DistanceProblem:
 
     def of_readings(self, rows: Rows) -> DistanceProblem:
         """The problem with the same unknowns for some of the readings."""
-        some = copy.copy(self)
-        some.readings, some._weight = self.readings.chosen(rows), self._weight[rows]
-        some._rows = [some.readings.of(device.name) for device in self.devices]
-        return some
+        part = copy.copy(self)
+        part.readings, part._weight = self.readings.chosen(rows), self._weight[rows]
+        part._rows = [part.readings.of(device.name) for device in self.devices]
+        return part
 
     def errors_m(self, x: Array) -> Array:
         """Measured minus modelled lengths, (r,)."""
@@ -392,19 +392,19 @@ class DistanceProblem:
     def along(self, x: Array) -> Array:
         """Unit vectors (r, 3) along which each length grows with its (first) tip."""
         dh, tool = self.arm_at(x)
-        tips, found = self.model.tips(dh, self.readings.q_rad, tool), np.zeros((len(self.readings), 3))
+        tips, directions = self.model.tips(dh, self.readings.q_rad, tool), np.zeros((len(self.readings), 3))
         for device, rows, values in zip(self.devices, self._rows, self.device_values(x), strict=True):
             first, second = self.readings.pose[rows].T
-            found[rows] = device.modelled(values, tips[first], tips[second])[1]
-        return found
+            directions[rows] = device.modelled(values, tips[first], tips[second])[1]
+        return directions
 
     def device_values(self, x: Array) -> list[Array]:
         """Deviations of each device's unknowns, in its own order."""
-        whole, found, at = self._spread(x), [], self._devices_at
+        whole, values, at = self._spread(x), [], self._devices_at
         for device in self.devices:
-            found.append(whole[at : at + len(device.parameters)])
+            values.append(whole[at : at + len(device.parameters)])
             at += len(device.parameters)
-        return found
+        return values
 
     def arm_at(self, x: Array) -> tuple[Array, Array]:
         """DH table (links, 4) and tool (3,)."""
@@ -460,12 +460,12 @@ class DistanceProblem:
         at = self._devices_at
         for device, rows, values in zip(self.devices, self._rows, self.device_values(x), strict=True):
             first, second = self.readings.pose[rows].T
-            length, by_first, by_second, own = device.modelled(values, slopes.tips[first], slopes.tips[second])
+            length, by_first, by_second, by_device = device.modelled(values, slopes.tips[first], slopes.tips[second])
             error[rows] = self.readings.length_m[rows] - length
             by_whole[rows, : self._devices_at] = -np.einsum("ri,rik->rk", by_first, by_arm[first])
             by_whole[rows, : self._devices_at] -= np.einsum("ri,rik->rk", by_second, by_arm[second])
-            by_whole[rows, at : at + own.shape[1]] = -own
-            at += own.shape[1]
+            by_whole[rows, at : at + by_device.shape[1]] = -by_device
+            at += by_device.shape[1]
         return error, by_whole
 
     def _widened(self, columns: Array) -> Array:
@@ -476,9 +476,9 @@ class DistanceProblem:
 
 
 def _of_the_arm(model: ArmModel, bounds: Bounds, is_tool_free: bool, tool_m: Array) -> tuple[Parameter, ...]:
-    found = list(dh_parameters(model.nominal_dh, bounds))
+    parameters = list(dh_parameters(model.nominal_dh, bounds))
     if is_tool_free:
-        found += [
+        parameters += [
             Parameter(name, "m", float(value), bounds.of_free(name, "m")) for name, value in zip(TOOL_NAMES, tool_m, strict=True)
         ]
-    return tuple(found)
+    return tuple(parameters)

@@ -196,9 +196,9 @@ def omitted(arm: Arm) -> tuple[str, ...]:
 
 
 def _values(arm: Arm, published: Arm) -> Iterator[str]:
-    for called, one in (("PUBLISHED", published), ("ARM", arm)):
+    for called, shown in (("PUBLISHED", published), ("ARM", arm)):
         yield f"{called} = [  # turns, d, theta, L, alpha"
-        for link in one.links:
+        for link in shown.links:
             row = (link.joint == "revolute", link.d_m, link.theta_rad, link.L_m, link.alpha_rad)
             yield f"    {row!r},"
         yield "]"

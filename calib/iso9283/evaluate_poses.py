@@ -56,12 +56,12 @@ def _pose_figures(group: PoseGroup) -> list[Figure]:
 
 
 def _orientation_figures(commanded_rad: Array, attained_rad: Array, where: str) -> list[Figure]:
-    n, found = len(attained_rad), {"AP": pose.orientation_accuracy(commanded_rad, attained_rad)}
+    n, criteria = len(attained_rad), {"AP": pose.orientation_accuracy(commanded_rad, attained_rad)}
     if n >= 2:
-        found["RP"] = pose.orientation_repeatability(attained_rad)
+        criteria["RP"] = pose.orientation_repeatability(attained_rad)
     return [
         Figure(f"{symbol}_{letter}", float(value), "rad", where, n)
-        for symbol, values in found.items()
+        for symbol, values in criteria.items()
         for letter, value in zip("abc", values, strict=True)
     ]
 
@@ -134,26 +134,26 @@ def drift_criterion(groups: Groups) -> Criterion:
 
 def exchange_criterion(groups: Groups, others: Mapping[str, Groups]) -> Criterion:
     """7: E at P1, with the visits of P1 by other arms (name to groups)."""
-    own = _first(groups)
+    reference = _first(groups)
     needs = (
         []
         if len(others) >= 4
         else [f"the same programme run by four other arms of this type in the same place (--other POINTS); got {len(others)}"]
     )
-    if own is None or not others:
+    if reference is None or not others:
         return criterion(7, (), needs)
-    clouds = [own.attained_m]
+    clouds = [reference.attained_m]
     for name, visited in others.items():
-        other = _first(visited)
-        if other is None:
+        visit = _first(visited)
+        if visit is None:
             raise Iso9283Error(f"{name}: no measured visits of P1 to compare with")
-        away = float(np.linalg.norm(other.commanded_m - own.commanded_m))
+        away = float(np.linalg.norm(visit.commanded_m - reference.commanded_m))
         if away > SAME_POSE_m:
             raise Iso9283Error(
                 f"{name}: its commanded P1 is {1e3 * away:.3f} mm from this arm's: exchangeability needs the same"
                 " programme (--cube-centre and --cube-edge)"
             )
-        clouds.append(other.attained_m)
+        clouds.append(visit.attained_m)
     value = pose.exchangeability(clouds)
     figure = Figure("E", value, "m", f"P1, {len(clouds)} arms", min(map(len, clouds)))
     return criterion(7, with_headlines([figure]), needs)
@@ -171,24 +171,24 @@ def load_criterion(groups: Groups) -> Criterion:
         )
     forces = np.concatenate([g.force_N for g in loaded])
     try:
-        found = static_compliance(forces, np.concatenate([g.attained_m for g in loaded]))
+        compliance = static_compliance(forces, np.concatenate([g.attained_m for g in loaded]))
     except Iso9283Error as error:
         return criterion(13, (), (str(error),))
-    along = [k for k in range(3) if np.isfinite(found.m_N[:, k]).all()]
-    figures = [figure for k in along for figure in _load_figures(found, k, len(forces))]
+    along = [k for k in range(3) if np.isfinite(compliance.m_N[:, k]).all()]
+    figures = [figure for k in along for figure in _load_figures(compliance, k, len(forces))]
     missing = [AXES[k] for k in range(3) if k not in along]
     return criterion(13, figures, (needs.format(" and ".join(missing)),) if missing else ())
 
 
-def _load_figures(found: Compliance, k: int, count: int) -> Iterator[Figure]:
+def _load_figures(compliance: Compliance, k: int, count: int) -> Iterator[Figure]:
     """The displacement by a load along axis k, and its components."""
-    total, along = float(np.linalg.norm(found.m_N[:, k])), AXES[k]
+    total, along = float(np.linalg.norm(compliance.m_N[:, k])), AXES[k]
     yield Figure(f"per N along {along}", total, "m/N", "P1", count, True)
     for i in range(3):
-        sd = found.sd_m_N[i, k]
+        sd = compliance.sd_m_N[i, k]
         remark = f"standard deviation {1e6 * sd:.3f} µm/N" if np.isfinite(sd) else ""
         symbol = f"along {AXES[i]} per N along {along}"
-        yield Figure(symbol, float(found.m_N[i, k]), "m/N", "P1", count, remark=remark)
+        yield Figure(symbol, float(compliance.m_N[i, k]), "m/N", "P1", count, remark=remark)
 
 
 def clouds(groups: Groups) -> dict[str, Array]:

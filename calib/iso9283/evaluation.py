@@ -252,15 +252,15 @@ def velocity_criterion(runs: Sequence[RecordedRun]) -> Criterion:
     needs: list[str] = []
     for name, cycles in groups.items():
         try:
-            found, commanded, remark = _velocity(cycles)
+            velocity, commanded, remark = _velocity(cycles)
         except Iso9283Error as error:
             needs.append(f"{name}: {error}")
             continue
         where, n = f"{name}, {commanded:.3f} m/s commanded", len(cycles)
-        figures.append(Figure("AV", found.accuracy_percent, "%", where, n, remark=remark))
-        if found.repeatability_percent is not None:
-            figures.append(Figure("RV", found.repeatability_percent, "%", where, n, remark=remark))
-        figures.append(Figure("FV", found.fluctuation_m_s, "m/s", where, n, remark=remark))
+        figures.append(Figure("AV", velocity.accuracy_percent, "%", where, n, remark=remark))
+        if velocity.repeatability_percent is not None:
+            figures.append(Figure("RV", velocity.repeatability_percent, "%", where, n, remark=remark))
+        figures.append(Figure("FV", velocity.fluctuation_m_s, "m/s", where, n, remark=remark))
     if not groups:
         needs.append(NO_LOG + "a straight line at constant speed, ten times")
     return criterion(11, with_headlines(figures), needs)
@@ -364,12 +364,12 @@ def _is_steady(run: RecordedRun) -> bool:
     return bool(norms(velocity_m_s - mean).max() < STEADY * np.linalg.norm(mean))
 
 
-def _is_repeat(run: RecordedRun, other: RecordedRun) -> bool:
+def _is_repeat(run: RecordedRun, first: RecordedRun) -> bool:
     """Whether two runs have the same set-points, to a tenth of a millimetre at equal times."""
-    if abs(run.time_s[-1] - other.time_s[-1] - run.time_s[0] + other.time_s[0]) > 0.5:
+    if abs(run.time_s[-1] - first.time_s[-1] - run.time_s[0] + first.time_s[0]) > 0.5:
         return False
     at = np.linspace(0.0, 1.0, 50) * (run.moving_s[1] - run.moving_s[0])
-    sampled = [np.column_stack([np.interp(r.moving_s[0] + at, r.time_s, r.set_m[:, k]) for k in range(3)]) for r in (run, other)]
+    sampled = [np.column_stack([np.interp(r.moving_s[0] + at, r.time_s, r.set_m[:, k]) for k in range(3)]) for r in (run, first)]
     return bool(np.abs(sampled[0] - sampled[1]).max() < 1e-4)
 
 

@@ -35,13 +35,13 @@ def largest_cube(arm: Arm) -> TestCube:
     Its centre is straight ahead, towards the table, or along x; it is searched on a refined grid.
     """
     _require_volume(arm)
-    found = [cube for solver in solvers(arm) if (cube := _grown(arm, solver, reach_m(arm))) is not None]
-    if not found:
+    cubes = [cube for solver in solvers(arm) if (cube := _grown(arm, solver, reach_m(arm))) is not None]
+    if not cubes:
         raise Iso9283Error(
             f"arm {arm.name}: no test cube of {SMALLEST_EDGE_m:g} m fits within the joint limits and {CLEARANCE_m:g} m above"
             " the floor: give one with --cube-centre and --cube-edge"
         )
-    return max(found, key=lambda cube: cube.edge_m)
+    return max(cubes, key=lambda cube: cube.edge_m)
 
 
 def solver_of(arm: Arm, cube: TestCube) -> Solver:

@@ -112,17 +112,17 @@ def pose_groups(points: Points, arm: Arm, path: Path) -> tuple[list[PoseGroup], 
 
     UnusablePointsError for points in other units or of another arm.
     """
-    given = beyond(points, path, BESIDE, Iso9283Error)
-    commanded, source = _commanded(points, given, arm)
+    table = beyond(points, path, BESIDE, Iso9283Error)
+    commanded, source = _commanded(points, table, arm)
     measured = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1))
     is_checked = len(measured) > 0 and points.joint_count == arm.joint_count
     warnings = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
     weight_N = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
-    force = given.numbers(*FORCE) if FORCE[0] in given else weight_N
-    angle_set, angle = (given.numbers(*names) if names[0] in given else None for names in (ANGLES_SET, ANGLES))
+    force = table.numbers(*FORCE) if FORCE[0] in table else weight_N
+    angle_set, angle = (table.numbers(*names) if names[0] in table else None for names in (ANGLES_SET, ANGLES))
     if angle is None and points.joint_count == arm.joint_count:
-        angle_set, angle = _turned(points, given, arm)
-    turns = (TARGET_NOTE,) if angle is not None and ANGLES[0] not in given else ()
+        angle_set, angle = _turned(points, table, arm)
+    turns = (TARGET_NOTE,) if angle is not None and ANGLES[0] not in table else ()
     keys = list(zip(points.setup, points.point, strict=True))
     groups = []
     for key in dict.fromkeys(keys):
@@ -149,7 +149,7 @@ def _angles_of(angle_set: Array, angle: Array, rows: npt.NDArray[np.intp]) -> tu
     return (angle_set[seen].mean(axis=0), angle[seen]) if len(seen) else None
 
 
-def _turned(points: Points, given: TableContent, arm: Arm) -> tuple[Array | None, Array | None]:
+def _turned(points: Points, table: TableContent, arm: Arm) -> tuple[Array | None, Array | None]:
     """Angles (m, 3) about x, y, z of the base by which measured orientations are off the commanded ones, whose are 0.
 
     The target sits on the last link where it fits all poses best.
@@ -157,7 +157,7 @@ def _turned(points: Points, given: TableContent, arm: Arm) -> tuple[Array | None
     seen = np.flatnonzero(np.isfinite(points.orientation).all(axis=1))
     if not len(seen):
         return None, None
-    q_rad, _ = _commanded_rad(points, given)
+    q_rad, _ = _commanded_rad(points, table)
     commanded = ForwardKinematics(arm).link_transforms(q_rad[seen])[:, -1, :3, :3]
     measured = matrices(points.orientation[seen])
     target = mean_rotation(np.swapaxes(commanded, 1, 2) @ measured)
@@ -166,25 +166,25 @@ def _turned(points: Points, given: TableContent, arm: Arm) -> tuple[Array | None
     return np.zeros_like(angle), angle
 
 
-def _commanded(points: Points, given: TableContent, arm: Arm) -> tuple[Array, str]:
+def _commanded(points: Points, table: TableContent, arm: Arm) -> tuple[Array, str]:
     """Commanded positions (m, 3): from columns, or by forward kinematics of set-points or encoders."""
-    if SET[0] in given:
-        return given.numbers(*SET), "commanded positions: columns x_set_m, y_set_m, z_set_m"
+    if SET[0] in table:
+        return table.numbers(*SET), "commanded positions: columns x_set_m, y_set_m, z_set_m"
     if points.joint_count != arm.joint_count:
         raise Iso9283Error(
-            f"{given.path}: no commanded positions: columns {', '.join(SET)} are missing, and arm {arm.name} has"
+            f"{table.path}: no commanded positions: columns {', '.join(SET)} are missing, and arm {arm.name} has"
             f" {arm.joint_count} joints, the file {points.joint_count}: add the columns, or give the right --arm"
         )
-    q_rad, source = _commanded_rad(points, given)
+    q_rad, source = _commanded_rad(points, table)
     tips_m = ForwardKinematics(arm).tips(q_rad)
     return tips_m, f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
 
 
-def _commanded_rad(points: Points, given: TableContent) -> tuple[Array, str]:
+def _commanded_rad(points: Points, table: TableContent) -> tuple[Array, str]:
     """Commanded joint angles (m, n), and where they are from."""
     for form in ("joint{}_set_rad", "q{}_set_rad"):
-        if form.format(1) in given:
-            return given.joints(form), "set-points"
+        if form.format(1) in table:
+            return table.joints(form), "set-points"
     return points.q_rad, "encoder angles at rest"
 
 

@@ -127,14 +127,14 @@ def with_headlines(figures: Sequence[Figure], symbols: Sequence[str] | None = No
 def write_document(path: Path, evaluation: Evaluation, arm: str, made: Provenance) -> None:
     """Write iso9283.json; SI units, radians."""
     criteria = [
-        entries(one, "number", "name", "clause", "needs")
+        entries(row, "number", "name", "clause", "needs")
         | {
-            "values": {f.symbol: entries(f, "value", "unit", "where") for f in one.headlines},
+            "values": {f.symbol: entries(f, "value", "unit", "where") for f in row.headlines},
             "figures": [
-                entries(f, "symbol", "value", "unit", "where", "count", *(("remark",) if f.remark else ())) for f in one.figures
+                entries(f, "symbol", "value", "unit", "where", "count", *(("remark",) if f.remark else ())) for f in row.figures
             ],
         }
-        for one in evaluation.criteria
+        for row in evaluation.criteria
     ]
     write_json(path, made.heading(FORMAT, arm=arm) | {"criteria": criteria, "notes": evaluation.notes})
 
@@ -235,12 +235,12 @@ def _draw_clouds(figure: Drawing, clouds: Mapping[str, Array]) -> None:
         about = 1e3 * (deviation - deviation.mean(axis=0))
         radius = 1e3 * pose_repeatability(deviation).total_m if len(deviation) > 1 else 0.0
         for row, (i, j, names) in enumerate(((0, 1, "xy"), (0, 2, "xz"))):
-            one = axes[row][column]
-            one.plot(about[:, i], about[:, j], "o", ms=3, color=STYLES[0][0], alpha=0.6)
+            panel = axes[row][column]
+            panel.plot(about[:, i], about[:, j], "o", ms=3, color=STYLES[0][0], alpha=0.6)
             angle = np.linspace(0.0, 2.0 * np.pi, 90)
-            one.plot(radius * np.cos(angle), radius * np.sin(angle), "--", lw=1.0, color=STYLES[1][0])
-            one.set_aspect("equal", adjustable="datalim")
-            one.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]" if not column else "")
+            panel.plot(radius * np.cos(angle), radius * np.sin(angle), "--", lw=1.0, color=STYLES[1][0])
+            panel.set_aspect("equal", adjustable="datalim")
+            panel.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]" if not column else "")
         axes[0][column].set_title(f"{name}: RP {radius:.3f} mm", loc="left", fontsize=9)
 
 

@@ -83,20 +83,20 @@ def _write_poses(file: Path, way: WayOfStops) -> None:
 def plan_json(plan: Plan, tasks: Tasks) -> dict[str, object]:
     """The plan for programs; SI units, way-points by their number in the file."""
     chosen = plan.chosen
-    found: dict[str, object] = {
+    content: dict[str, object] = {
         "as_given": entries(plan.plain.cost, *COSTS),
         "as_planned": entries(chosen.cost, *COSTS),
         "choices": [{"choice": name, "rms_m": error_m} for name, error_m in plan.steps],
         "shift_m": chosen.shift_m,
     }
     if isinstance(chosen, WayOfPath):
-        found |= {"branch": chosen.plan.branch} | entries(chosen, "lead_in_rad", "is_reversed", "pace")
+        content |= {"branch": chosen.plan.branch} | entries(chosen, "lead_in_rad", "is_reversed", "pace")
     else:
-        found["stops"] = [_stop(chosen, row) for row in chosen.order]
+        content["stops"] = [_stop(chosen, row) for row in chosen.order]
     if tasks is not None:
-        found["tolerance_m"] = tasks[0].tolerance_m
-        found["probability"] = {"as_given": tasks[0].probability, "as_planned": tasks[1].probability}
-    return found | {"in_words": sentences(plan, tasks)}
+        content["tolerance_m"] = tasks[0].tolerance_m
+        content["probability"] = {"as_given": tasks[0].probability, "as_planned": tasks[1].probability}
+    return content | {"in_words": sentences(plan, tasks)}
 
 
 def _stop(way: WayOfStops, row: int) -> dict[str, object]:
@@ -145,10 +145,10 @@ def _sentences(plan: Plan, tasks: tuple[Reliability, Reliability] | None) -> Ite
         )
     yield from _about_table(plan.chosen)
     if tasks is not None:
-        given, planned = tasks
+        as_given, planned = tasks
         yield (
-            f"{_mm(given.tolerance_m)} is kept with a probability of {100 * given.probability:.1f} % as given,"
-            f" {100 * planned.probability:.1f} % as planned ({given.draws} draws)."
+            f"{_mm(as_given.tolerance_m)} is kept with a probability of {100 * as_given.probability:.1f} % as given,"
+            f" {100 * planned.probability:.1f} % as planned ({as_given.draws} draws)."
         )
 
 

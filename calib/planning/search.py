@@ -74,9 +74,9 @@ class Judge:
         return Cost(rms, parts[0], parts[1], parts[2], drawn_m)
 
 
-def is_surely_better(one: Cost, other: Cost) -> bool:
-    """Whether `one` is expected to be better, and is for nearly every arm that the points allow."""
-    return one.rms_m < other.rms_m and float(np.mean(one.drawn_m < other.drawn_m)) >= SURE
+def is_surely_better(cost: Cost, than: Cost) -> bool:
+    """Whether `cost` is expected to be better, and is for nearly every arm that the points allow."""
+    return cost.rms_m < than.rms_m and float(np.mean(cost.drawn_m < than.drawn_m)) >= SURE
 
 
 HALVINGS: Final = 2  # of the step: the error is smooth, an eighth of the area is near enough
@@ -107,9 +107,9 @@ def best_place(
         for shift in _around(middle, area_m, 0.5**halving):
             if shift in seen:
                 continue
-            seen[shift] = found = at(shift)
-            if found is not None and (best is None or is_better(found, best[1])):
-                best = (shift, found)
+            seen[shift] = candidate = at(shift)
+            if candidate is not None and (best is None or is_better(candidate, best[1])):
+                best = (shift, candidate)
     return best
 
 
@@ -177,10 +177,10 @@ class Room:
 
     def _may_be(self, arm: Arm, q_rad: Array) -> Mask:
         # The floor ends at a board that is let into it, but not where a plan puts one.
-        found = np.full(len(q_rad), table_m(arm) >= self._lowest_table_m - ROUNDING_m)
+        is_possible = np.full(len(q_rad), table_m(arm) >= self._lowest_table_m - ROUNDING_m)
         for distance_m, _ in Workspace.of(arm).clearances(self._corners.batch(q_rad), self._body):
-            found &= distance_m >= -ROUNDING_m
-        return found
+            is_possible &= distance_m >= -ROUNDING_m
+        return is_possible
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +235,9 @@ class WaySearch(ABC, Generic[Way]):
     def _is_better_place(self, one: Way, than: Way) -> bool:
         return one.cost.rms_m < than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
 
-    def _is_better(self, one: Way, than: Way) -> bool:
+    def _is_better(self, way: Way, than: Way) -> bool:
         """Worth the change, and sure to be better than the plain one."""
-        return one.cost.rms_m < WORTH * than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
+        return way.cost.rms_m < WORTH * than.cost.rms_m and is_surely_better(way.cost, self._plain.cost)
 
 
 # A path with the least expected tip error: its place, its branch, its way round, its speed, and how the arm comes to it.
@@ -293,12 +293,12 @@ class _PathSearch(WaySearch[WayOfPath]):
             ("speed", self._slower),
         )
         steps: list[tuple[str, float]] = []
-        for name, found in choices:
+        for name, ways_from in choices:
             self._advance(f"looking for a better {name}", self._share())
-            better = [one for one in found(best) if self._is_better(one, best)]
+            better = [way for way in ways_from(best) if self._is_better(way, best)]
             if better:
-                least_m = min(one.cost.rms_m for one in better)
-                best = next(one for one in better if WORTH * one.cost.rms_m <= least_m)
+                least_m = min(way.cost.rms_m for way in better)
+                best = next(way for way in better if WORTH * way.cost.rms_m <= least_m)
                 steps.append((name, best.cost.rms_m))
         return PathPlan(self._plain, best, tuple(steps))
 
@@ -439,9 +439,9 @@ class _StopsSearch(WaySearch[WayOfStops]):
         for point in self._given.points:
             here = np.array(inverse.nearest(point, tuple(here.tolist())))
             q.append(here)
-        found = np.array(q)
-        sides = np.sign(np.diff(found, axis=0, prepend=_rest(self._arm)[None]))
-        return self._way(self._arm, self._given, NOWHERE, found, sides, np.zeros(len(found), dtype=bool))
+        nearest = np.array(q)
+        sides = np.sign(np.diff(nearest, axis=0, prepend=_rest(self._arm)[None]))
+        return self._way(self._arm, self._given, NOWHERE, nearest, sides, np.zeros(len(nearest), dtype=bool))
 
     def _best_at(self, shift_m: Vector3) -> WayOfStops | None:
         """The least expected error of each point where the work is moved by shift_m; None if one is out of reach."""
@@ -465,11 +465,11 @@ class _StopsSearch(WaySearch[WayOfStops]):
         for first in (1.0, -1.0):
             sides, squares = np.full(q.shape, first), self._squares(arm, q, np.full(q.shape, first))
             for joint in list(range(q.shape[1])) * ROUNDS:
-                other = sides.copy()
-                other[:, joint] *= -1.0
-                found = self._squares(arm, q, other)
-                is_better = found < squares
-                sides, squares = np.where(is_better[:, None], other, sides), np.minimum(found, squares)
+                flipped = sides.copy()
+                flipped[:, joint] *= -1.0
+                flipped_m2 = self._squares(arm, q, flipped)
+                is_better = flipped_m2 < squares
+                sides, squares = np.where(is_better[:, None], flipped, sides), np.minimum(flipped_m2, squares)
             is_better = squares < least
             best, least = np.where(is_better[:, None], sides, best), np.minimum(squares, least)
         return best, least

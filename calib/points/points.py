@@ -180,10 +180,10 @@ def triangles(matrices: Array) -> Array:
 
 def matrices_of(triangle: Array) -> Array:
     """Symmetric matrices (..., 3, 3) of upper triangles (..., 6)."""
-    found = np.empty((*triangle.shape[:-1], 3, 3))
+    matrices = np.empty((*triangle.shape[:-1], 3, 3))
     for k, (i, j) in enumerate(_PAIRS):
-        found[..., i, j] = found[..., j, i] = triangle[..., k]
-    return found
+        matrices[..., i, j] = matrices[..., j, i] = triangle[..., k]
+    return matrices
 
 
 def is_covariance(triangle: Array) -> bool:

@@ -122,20 +122,20 @@ def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles:
     wanted = {name: JOINT.format(j) for j, name in enumerate(joints, 1)} | COLUMNS
     if strange := [ours for ours in columns if ours not in wanted]:
         raise PointsFileError(f"--columns {strange[0]}: expected one of {', '.join(wanted)}, and = a name of theirs")
-    found = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
-    of_angle, of_length = [found[name] or "" for name in joints], [found[name] or "" for name in TIP]
+    column_of = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
+    of_angle, of_length = [column_of[name] or "" for name in joints], [column_of[name] or "" for name in TIP]
     notes: list[str] = []
     angle = _unit(sheet, of_angle, angles, "--angles", ANGLES, notes)
     length = _unit(sheet, of_length, lengths, "--lengths", LENGTHS, notes)
     q_rad = np.column_stack([sheet.numbers(name) for name in of_angle]) * ANGLES[angle]
     tip_m = np.column_stack([sheet.numbers(name) for name in of_length]) * LENGTHS[length]
-    named = {ours: sheet.words(name) for ours in OPTIONAL if (name := found[ours])}
+    named = {ours: sheet.words(name) for ours in OPTIONAL if (name := column_of[ours])}
     setup = named.get("setup") or ["free"] * len(q_rad)
     point = named.get("point") or [f"p{k}" for k in range(1, len(q_rad) + 1)]
-    if found["repeat"] is None:
+    if column_of["repeat"] is None:
         point = _poses_again(setup, point, q_rad, notes)
-    words = [f'{ours} is "{name}"' for ours, name in found.items() if name]
-    unused = [name for name in sheet.names if name not in found.values()]
+    words = [f'{ours} is "{name}"' for ours, name in column_of.items() if name]
+    unused = [name for name in sheet.names if name not in column_of.values()]
     further = JOINT.format(rf"(?:{arm.joint_count + 1})")
     if strange := [name for name in unused if re.search(further, name.lower())]:
         raise PointsFileError(
@@ -143,7 +143,7 @@ def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles:
             " give the right --arm, or leave the column out"
         )
     return Understood(
-        make_points(setup, point, _repeats(sheet, found["repeat"], setup, point), q_rad, tip_m),
+        make_points(setup, point, _repeats(sheet, column_of["repeat"], setup, point), q_rad, tip_m),
         (
             sheet.about,
             f"{', '.join(words)}; angles in {angle}, lengths in {length}",
@@ -158,24 +158,24 @@ def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, s
         if name not in sheet.names:
             raise PointsFileError(f'{sheet.path}: no column "{name}" for {ours}; it has {", ".join(sheet.names)}')
         return name
-    found = [name for name in sheet.names if re.search(pattern, name.lower()) and name not in columns.values()]
-    if len(found) == 1:
-        return found[0]
-    if not found and ours in OPTIONAL:
+    matches = [name for name in sheet.names if re.search(pattern, name.lower()) and name not in columns.values()]
+    if len(matches) == 1:
+        return matches[0]
+    if not matches and ours in OPTIONAL:
         return None
-    raise Unclear(f"{sheet.path}: which column is {ours}", "--columns", f"{ours}=", found or sheet.names)
+    raise Unclear(f"{sheet.path}: which column is {ours}", "--columns", f"{ours}=", matches or sheet.names)
 
 
 def _unit(
-    sheet: Spreadsheet, names: Sequence[str], given: str | None, option: str, units: Mapping[str, float], notes: list[str]
+    sheet: Spreadsheet, names: Sequence[str], stated: str | None, option: str, units: Mapping[str, float], notes: list[str]
 ) -> str:
     """The unit of columns: as given, else what their header says. A header that says another one than was given is noted."""
     said = {next((unit for unit, form in UNITS if re.search(ALONE.format(form), name.lower())), None) for name in names}
     (unit,) = said if len(said) == 1 else (None,)
-    if given is not None:
-        if unit in units and unit != given:
-            notes.append(f'{option} {given}, although the header says {unit} ("{names[0]}"): is that right?')
-        return given
+    if stated is not None:
+        if unit in units and unit != stated:
+            notes.append(f'{option} {stated}, although the header says {unit} ("{names[0]}"): is that right?')
+        return stated
     if unit is None or unit not in units:
         raise Unclear(f"{sheet.path}: the unit of {', '.join(names)}", option, "", tuple(units))
     return unit

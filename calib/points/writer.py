@@ -136,9 +136,9 @@ class PointsWriter(Closing):
 
     def withdraw(self, key: Key) -> None:
         """Remove a record; the file is replaced atomically. The caller must save the line first."""
-        left = {other: line for other, line in self._lines.items() if other != key}
-        self._file.replace(self._header, *left.values())
-        self._lines = left
+        rest = {other: line for other, line in self._lines.items() if other != key}
+        self._file.replace(self._header, *rest.values())
+        self._lines = rest
 
     def close(self) -> None:
         """Close the file."""

@@ -141,11 +141,11 @@ def _draw_histogram(axes: Axes, comparison: Comparison) -> None:
 
 def _draw_setups(axes: Axes, comparison: Comparison) -> None:
     entries = [comparison.of(name) for name in comparison.setups]
-    some = comparison.thinned(DRAWN_MOST)
+    drawn = comparison.thinned(DRAWN_MOST)
     place = {name: float(k) for k, name in enumerate(comparison.setups)}
-    own = np.array([place[name] for name in some.setup])
-    _draw_summaries(axes, own - 0.17, some.before_m, [e.before for e in entries], BEFORE, "before")
-    _draw_summaries(axes, own + 0.17, some.after_m, [e.after for e in entries], AFTER, "after")
+    at = np.array([place[name] for name in drawn.setup])
+    _draw_summaries(axes, at - 0.17, drawn.before_m, [e.before for e in entries], BEFORE, "before")
+    _draw_summaries(axes, at + 0.17, drawn.after_m, [e.after for e in entries], AFTER, "after")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_xticks(np.arange(len(entries), dtype=float), [e.setup for e in entries])

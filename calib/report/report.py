@@ -53,17 +53,17 @@ def inputs_section(inputs: Sequence[InputFile]) -> Section:
     return Section("Inputs", f'<div class="inputs">{table(("file", "what it is", "SHA-256"), rows)}</div>')
 
 
-def parameters_section(found: Identification) -> Section:
+def parameters_section(fit: Identification) -> Section:
     """All parameters with their standard deviations, and what the data do not determine."""
     header = ("parameter", "unit", "nominal", "identified", "deviation", "sd", "bound", "")
-    before, after = found.objective_before, found.objective_after
+    before, after = fit.objective_before, fit.objective_after
     return Section(
         "Parameters",
-        f"<p>Objective {escaped(found.objective)}: {before:.6g} before, {after:.6g} after (SI units). Residual"
-        f" {1e3 * found.noise_m:.3f} mm per axis (standard deviation).</p>"
+        f"<p>Objective {escaped(fit.objective)}: {before:.6g} before, {after:.6g} after (SI units). Residual"
+        f" {1e3 * fit.noise_m:.3f} mm per axis (standard deviation).</p>"
         + heading("What the data determine")
-        + bullets(found.in_words())
-        + table(header, [_parameter_row(estimate) for estimate in of_the_arm(found)])
+        + bullets(fit.in_words())
+        + table(header, [_parameter_row(estimate) for estimate in of_the_arm(fit)])
         + paragraph(
             "sd: standard deviation of the part of this parameter that the data determine. Where parameters move together,"
             " only their combination is meaningful; the values are those nearest to nominal.",
@@ -72,14 +72,14 @@ def parameters_section(found: Identification) -> Section:
     )
 
 
-def of_the_arm(found: Identification) -> tuple[Estimate, ...]:
+def of_the_arm(fit: Identification) -> tuple[Estimate, ...]:
     """The estimates without those of boards and base, which are meaningful only as whole frames."""
-    free = [frame for frame in found.solution.frames if frame.is_free]
+    free = [frame for frame in fit.solution.frames if frame.is_free]
     of_frames = {name for frame in free for name in frame.parameter_names}
-    return tuple(one for one in found.estimates if one.parameter.name not in of_frames)
+    return tuple(one for one in fit.estimates if one.parameter.name not in of_frames)
 
 
-def frames_section(found: Identification) -> Section:
+def frames_section(fit: Identification) -> Section:
     """Identified poses of boards and base."""
     rows = [
         (
@@ -87,7 +87,7 @@ def frames_section(found: Identification) -> Section:
             *(f"{1e3 * value:.3f}" for value in frame.origin_m.tolist()),
             *(f"{math.degrees(value):.3f}" for value in rotation_vector(frame.rotation).tolist()),
         )
-        for frame in found.solution.frames
+        for frame in fit.solution.frames
         if frame.is_free
     ]
     header = ("frame", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
@@ -325,9 +325,9 @@ def _results(report: ReportData) -> Iterator[tuple[str, str, str]]:
         yield "before", f"{1e3 * entry.before.mean_m:.2f} mm", f"mean error before, {where}"
         yield "after", f"{1e3 * entry.after.mean_m:.2f} mm", f"mean error after, {where}"
         yield "", f"{entry.improvement_percent:.1f} %", f"smaller mean error, {where}"
-    found = report.identification
-    if found is not None:
-        yield "", f"{found.rank} of {len(found.estimates)}", "parameters that the points determine"
+    fit = report.identification
+    if fit is not None:
+        yield "", f"{fit.rank} of {len(fit.estimates)}", "parameters that the points determine"
 
 
 # A verification as a whole: comparison, trajectories, verdict; as verify.json and report.html (docs/verify.md).

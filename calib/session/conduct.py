@@ -105,9 +105,9 @@ class Boards:
         """Whether cavities of this setup must be measured by the camera first."""
         return self.kind == "measured" and setup not in self.poses
 
-    def best_to_see(self, left: Sequence[Target], points: Points | None, setup: str) -> Target:
+    def best_to_see(self, remaining: Sequence[Target], points: Points | None, setup: str) -> Target:
         """Of the remaining targets in a setup, the cavity farthest from those measured."""
-        here = [target for target in left if target.setup == setup]
+        here = [target for target in remaining if target.setup == setup]
         seen = {*self._seen(points, setup).marker} if points is not None else set()
         places = np.array([self.cavities_m[name] for name in seen] or [np.mean([*self.cavities_m.values()], axis=0)])
 
@@ -124,11 +124,11 @@ class Boards:
         names = set(seen.marker)
         if len(names) < 3 or (len(names) < FEWEST_TO_NAME and not is_last):
             return None
-        found = register_boards(seen, self.cavities_m)[setup]
-        if len(names) - len(found.outliers) < 3:
+        registration = register_boards(seen, self.cavities_m)[setup]
+        if len(names) - len(registration.outliers) < 3:
             raise RegistrationError(f"setup {setup}: fewer than three markers agree; measure them again")
-        self._place(setup, BoardPose(found.rotation, found.origin_m))
-        return found
+        self._place(setup, BoardPose(registration.rotation, registration.origin_m))
+        return registration
 
     def _seen(self, points: Points, setup: str) -> Markers:
         return markers_of(points.chosen([k for k in range(len(points)) if points.setup[k] == setup]))
@@ -388,22 +388,22 @@ class BoardSurvey:
         replace_file(self._folder.path / MARKERS, markers_text(markers_of(points)).encode())
         is_last = not any(target.setup == setup for target in self._folder.state.left())
         try:
-            found = self._boards.register(points, setup, is_last)
+            registration = self._boards.register(points, setup, is_last)
         except RegistrationError as error:
             yield Message(str(error), is_warning=True)
             return
-        if found is None:
+        if registration is None:
             return
         before = self._found.get(setup)
-        self._found[setup] = found
+        self._found[setup] = registration
         write_boards(self._folder.path / BOARDS, self._folder.plan.arm, self._found, made_today())
-        if before is None or before.outliers != found.outliers:
-            yield Message(_described(setup, found), is_warning=bool(found.outliers))
+        if before is None or before.outliers != registration.outliers:
+            yield Message(_described(setup, registration), is_warning=bool(registration.outliers))
 
 
 def _observations(points: Points, boards: Boards) -> list[tuple[object, TipObservation]]:
     """The records of a file, by key, in order."""
-    found: list[tuple[object, TipObservation]] = []
+    observations: list[tuple[object, TipObservation]] = []
     for k in range(len(points)):
         setup, point, repeat = points.setup[k], points.point[k], points.repeat[k]
         x, y, z = points.tip_m[k].tolist()
@@ -411,16 +411,16 @@ def _observations(points: Points, boards: Boards) -> list[tuple[object, TipObser
         place: Vector = boards.cavities_m[point] if is_unknown else (x, y, z)
         is_unplaced = is_unknown or points.in_camera_frame
         observation = TipObservation(setup, tuple(points.q_rad[k].tolist()), place, is_unplaced)
-        found.append(((setup, point, repeat), observation))
-    return found
+        observations.append(((setup, point, repeat), observation))
+    return observations
 
 
-def _described(setup: str, found: Registration) -> str:
-    worst = max(zip(norms(found.residual_m), found.names, strict=True))
+def _described(setup: str, registration: Registration) -> str:
+    worst = max(zip(norms(registration.residual_m), registration.names, strict=True))
     text = (
-        f"board {setup}: pose from {len(found.names)} cavities, residual {1e3 * found.noise_m:.2f} mm per axis,"
+        f"board {setup}: pose from {len(registration.names)} cavities, residual {1e3 * registration.noise_m:.2f} mm per axis,"
         f" largest {1e3 * float(worst[0]):.2f} mm at {worst[1]}"
     )
-    if found.outliers:
-        text += f"; not used: {', '.join(found.outliers)} (`redo` them)"
-    return "; ".join((text, *found.notes))
+    if registration.outliers:
+        text += f"; not used: {', '.join(registration.outliers)} (`redo` them)"
+    return "; ".join((text, *registration.notes))

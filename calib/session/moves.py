@@ -492,11 +492,11 @@ def _spread(unit: Array, count: int) -> list[int]:
 
 def _ordered(space: _Space, q_rad: Array) -> list[Array]:
     """Order the poses: each next one is the nearest with a clear path."""
-    left, ordered = list(q_rad), list[Array]()
-    here = left[0]
-    while left:
-        left.sort(key=lambda pose: float(np.linalg.norm(pose - here)))
-        clear = [k for k, pose in enumerate(left) if not ordered or space.is_clear(here, pose)]
-        here = left.pop(clear[0] if clear else 0)
+    waiting, ordered = list(q_rad), list[Array]()
+    here = waiting[0]
+    while waiting:
+        waiting.sort(key=lambda pose: float(np.linalg.norm(pose - here)))
+        clear = [k for k, pose in enumerate(waiting) if not ordered or space.is_clear(here, pose)]
+        here = waiting.pop(clear[0] if clear else 0)
         ordered.append(here)
     return ordered

@@ -78,9 +78,9 @@ class ResidualWatch:
 
     def judge(self, new: TipObservation) -> RecordVerdict:
         """Compare a record with earlier ones."""
-        before = [one for one in self._seen.values() if not one.is_on_unknown_board or one.setup == new.setup]
+        before = [record for record in self._seen.values() if not record.is_on_unknown_board or record.setup == new.setup]
         error_m = self._error_m(new)
-        on_its_board = sum(one.setup == new.setup for one in before)
+        on_its_board = sum(record.setup == new.setup for record in before)
         if len(before) < FEWEST_BEFORE or (new.is_on_unknown_board and on_its_board < FEWEST_ON_UNKNOWN):
             return RecordVerdict(error_m)
         innovation_m, spread_m2 = self._predicted(before, new)

@@ -181,16 +181,16 @@ def spreads(table: msgspec.Struct) -> list[tuple[str, Spread]]:
     return [(key, value) for key, value in values if isinstance(value, Spread)]
 
 
-def _of_each(given: dict[str, dict[str, object]], every: T, kind: type[T], count: int, what: str, fault: Fault) -> tuple[T, ...]:
+def _of_each(tables: dict[str, dict[str, object]], every: T, kind: type[T], count: int, what: str, fault: Fault) -> tuple[T, ...]:
     """The table of each link or joint: `every`, and what its own table says instead."""
     known = [str(k) for k in range(1, count + 1)]
-    for name in given:
+    for name in tables:
         if name not in known:
             raise fault(f"[{what}.{name}]: expected a number from 1 to {count}: the arm has {count} {what}s")
-    own = [table_as(given.get(name, {}), kind, fault, f"{what}.{name}") for name in known]
+    overrides = [table_as(tables.get(name, {}), kind, fault, f"{what}.{name}") for name in known]
     return tuple(
-        msgspec.structs.replace(every, **{key: getattr(one, key) for key in given.get(name, {})})
-        for name, one in zip(known, own, strict=True)
+        msgspec.structs.replace(every, **{key: getattr(one, key) for key in tables.get(name, {})})
+        for name, one in zip(known, overrides, strict=True)
     )
 
 
@@ -206,9 +206,9 @@ def _reaches(spread: Spread) -> str:
     return "a normal distribution has no end" if spread.sd else f"it reaches down to {spread.least:g}"
 
 
-def _noise_m(given: CalibrationTable, arm: Arm, fault: Fault) -> float:
-    if given.noise_m is not None:
-        return given.noise_m
+def _noise_m(table: CalibrationTable, arm: Arm, fault: Fault) -> float:
+    if table.noise_m is not None:
+        return table.noise_m
     if arm.camera is not None:
         return arm.camera.position_noise_m
     raise fault(
@@ -247,14 +247,12 @@ class MadePoses:
         self._dh_count = 4 * len(arm.links)
         self.names = (*dh_names(len(arm.links)), *TOOL_NAMES)
         self._flank, self._gravity_Nm = _gears(arm, terms, at)
-        first = len(self.names)
-        self._turning = [(first + k, one.number - 1, self._column(one)) for k, one in enumerate(terms) if one.kind != "bending"]
+        placed = list(enumerate(terms, start=len(self.names)))
+        self._turning = [(k, term.number - 1, self._column(term)) for k, term in placed if term.kind != "bending"]
         self._bending = [
-            (first + k, bending_m(arm, arm.dh, at.q_rad, at.payload_kg, one.number))
-            for k, one in enumerate(terms)
-            if one.kind == "bending"
+            (k, bending_m(arm, arm.dh, at.q_rad, at.payload_kg, term.number)) for k, term in placed if term.kind == "bending"
         ]
-        self._plays = [(first + k, one.number - 1) for k, one in enumerate(terms) if one.kind == "play"]
+        self._plays = [(k, term.number - 1) for k, term in placed if term.kind == "play"]
 
     def tips(self, z: Array, turned_rad: Array | None = None) -> Array:
         """Tips (3, arms, m) of arms z (arms, k); `turned_rad` (n, arms, m) is added to the joints' angles."""
@@ -282,11 +280,11 @@ class MadePoses:
             q[:, j] += z[k] * column
         end = self._dh_count
         dh, tool = self._arm.dh + z[:end].reshape(-1, 4), self._model.nominal_tool_m + z[end : end + 3]
-        found = self._model.slopes(dh, q, tool)
+        slopes = self._model.slopes(dh, q, tool)
         whole = np.zeros((len(q), 3, len(z)))
-        whole[:, :, :end], whole[:, :, end : end + 3] = found.by_dh, found.by_tool
+        whole[:, :, :end], whole[:, :, end : end + 3] = slopes.by_dh, slopes.by_tool
         for k, j, column in self._turning:
-            whole[:, :, k] = found.by_dh[:, :, self._model.theta_places[j]] * column[:, None]
+            whole[:, :, k] = slopes.by_dh[:, :, self._model.theta_places[j]] * column[:, None]
         for k, shift_m in self._bending:
             whole[:, :, k] = shift_m
         return np.ascontiguousarray(whole.transpose(1, 0, 2))
@@ -371,12 +369,12 @@ class MadeArms:
     def drawn(self, rng: np.random.Generator, count: int, exact: str = "") -> Array:
         """Arms (count, k); the factor named `exact` is as arm.toml says. The others are the same whatever is exact."""
         z = np.tile(self.file_z, (count, 1))
-        z[:, [place for one in self.factors if not one.is_deviation for place in one.places]] = 0.0
-        for one in self.factors:
-            values = self._values(one, rng, count)
-            if one.name == exact:
-                values = np.zeros_like(values) if one.is_deviation else self.file_z[list(one.places)]
-            z[:, list(one.places)] += values
+        z[:, [place for factor in self.factors if not factor.is_deviation for place in factor.places]] = 0.0
+        for factor in self.factors:
+            values = self._values(factor, rng, count)
+            if factor.name == exact:
+                values = np.zeros_like(values) if factor.is_deviation else self.file_z[list(factor.places)]
+            z[:, list(factor.places)] += values
         return z
 
     def scatter_rad(self, rng: np.random.Generator, poses: MadePoses, z: Array, exact: str = "") -> Array:
@@ -386,11 +384,11 @@ class MadeArms:
         steps = rng.uniform(-0.5, 0.5, shape) * encoder_steps_rad(self.arm)[:, None, None]
         return turned if exact == STEPS else turned + steps
 
-    def _values(self, one: Factor, rng: np.random.Generator, count: int) -> Array:
+    def _values(self, factor: Factor, rng: np.random.Generator, count: int) -> Array:
         """What it adds to its places, (count, places)."""
-        values = one.spread.draw(rng, count)
-        if len(one.places) == 1:
-            return (1.0 / values if one.is_inverse else values)[:, None]
+        values = factor.spread.draw(rng, count)
+        if len(factor.places) == 1:
+            return (1.0 / values if factor.is_inverse else values)[:, None]
         phase = rng.uniform(0.0, 2.0 * math.pi, count)
         return np.column_stack((values * np.cos(phase), values * np.sin(phase)))
 

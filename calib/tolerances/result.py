@@ -82,9 +82,9 @@ def made_of(design: StudyDesign, store: ChunkStore) -> Made:
     parts = [store.read(number) for number in range(design.chunks)]
     mean_square = np.concatenate([part["mean_square_m2"] for part in parts], axis=1)
     distance = np.concatenate([part["distance_m"] for part in parts if "distance_m" in part], axis=1)
-    kept = np.concatenate([part["kept_m"] for part in parts], axis=1)
+    kept_m = np.concatenate([part["kept_m"] for part in parts], axis=1)
     costs = [_cost(name, mean_square, store.read(design.chunks + k)["mean_square_m2"]) for k, name in enumerate(design.factors)]
-    return Made(design, kept, mean_square, distance, tuple(costs))
+    return Made(design, kept_m, mean_square, distance, tuple(costs))
 
 
 def _cost(name: str, every: Array, exact: Array) -> FactorShare:
@@ -142,27 +142,27 @@ def warnings_about(design: StudyDesign) -> list[str]:
     geometry = 4 * len(design.arm.links)
     off = np.abs(made.drawn(np.random.default_rng(1), SAMPLE)[:, :geometry])
     bounds = np.tile([LENGTH_BOUND_m, ANGLE_BOUND_rad], geometry // 2)
-    found = []
+    cautions = []
     if float(np.mean((off > bounds).any(axis=1))) > BEYOND:
-        found.append(
+        cautions.append(
             "some arms deviate by more than calibrate's bounds of 5 mm and 2 deg, which the study does not enforce: give"
             " `armwright calibrate` wider ones"
         )
     unknowns = geometry + len(made.correctable)
     if 3 * len(design.calibration) < 2 * unknowns:
-        found.append(
+        cautions.append(
             f"{len(design.calibration)} poses are few for {unknowns} parameters: the arms differ by chance in what is left"
         )
-    return found
+    return cautions
 
 
 def stage_rows(made: Made, tolerance_m: float | None) -> list[tuple[str, ...]]:
     """For each stage: what half and 95 % of the arms keep, the root mean square, and the share within the tolerance."""
     rows = []
     for stage, name in enumerate(STAGES):
-        kept = (_mm(made.kept(stage, 0.5)), _mm(made.kept(stage, 0.95)), f"{1e3 * made.rms_m(stage):.3g} mm")
+        cells = (_mm(made.kept(stage, 0.5)), _mm(made.kept(stage, 0.95)), f"{1e3 * made.rms_m(stage):.3g} mm")
         share = () if tolerance_m is None else (_percent(made.within(stage, tolerance_m)),)
-        rows.append((name, *kept, *share))
+        rows.append((name, *cells, *share))
     return rows
 
 
@@ -233,10 +233,10 @@ def made_json(made: Made, tolerance_m: float | None) -> dict[str, object]:
 
 
 def _stage(made: Made, stage: int, tolerance_m: float | None) -> dict[str, object]:
-    kept = {f"{100 * share:g} %": made.kept(stage, share) for share in PERCENTILES}
+    kept_m = {f"{100 * share:g} %": made.kept(stage, share) for share in PERCENTILES}
     return {
         "stage": STAGES[stage],
-        "kept_m": kept,
+        "kept_m": kept_m,
         "rms_m": made.rms_m(stage),
         "share_within_tolerance": None if tolerance_m is None else made.within(stage, tolerance_m),
         "costs": [{"name": one.name, "share": one.share[stage], "left_rms_m": one.left_m[stage]} for one in made.costs],
@@ -303,10 +303,10 @@ def _draw_costs(figure: Figure, made: Made) -> None:
     figure.subplots_adjust(left=0.15, right=0.98, top=0.9, bottom=0.15, wspace=1.0)
     for stage, axes in enumerate(figure.subplots(1, len(STAGES))):
         first = costliest(made, stage)[:BARS][::-1]
-        shares = np.array([[one.share[stage].value, one.share[stage].lower, one.share[stage].upper] for one in first])
+        shares = np.array([[cost.share[stage].value, cost.share[stage].lower, cost.share[stage].upper] for cost in first])
         spread = 100 * np.abs(shares[:, 1:] - shares[:, :1]).T
         axes.barh(
-            [one.name for one in first],
+            [cost.name for cost in first],
             100 * shares[:, 0],
             xerr=spread,
             color=STYLES[stage][0],

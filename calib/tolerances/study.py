@@ -55,9 +55,9 @@ class StudyIdentification:
         z = np.tile(self._start, (tips_m.shape[1], 1))
         x = np.zeros((len(z), len(self._places)))  # deviations over their prior
         for _ in range(STEPS_MOST):
-            left = tips_m - self._poses.tips(z)
+            residual_m = tips_m - self._poses.tips(z)
             # einsum, not BLAS: the same bits on any number of threads
-            step = np.einsum("iam,ikm->ak", left, self._gain) - np.einsum("al,kl->ak", x, self._pull)
+            step = np.einsum("iam,ikm->ak", residual_m, self._gain) - np.einsum("al,kl->ak", x, self._pull)
             x += step
             z[:, self._places] = self._start[self._places] + x * self._scale
             if np.abs(step).max() * self._largest_m < DONE_m:
@@ -162,11 +162,11 @@ def require_near(design: StudyDesign, where: str) -> None:
 def _spread(arm: Arm, count: int) -> Array:
     """`count` poses without collision, spread evenly over the joints' ranges."""
     for drawn in (2 * count, DRAWN_MOST * count):
-        found = workspace_poses(arm, (), drawn)
-        if len(found) >= count:
-            return found[:count]
+        poses = workspace_poses(arm, (), drawn)
+        if len(poses) >= count:
+            return poses[:count]
     raise CalibrationError(
-        f"arm {arm.name}: {len(found)} of {drawn} poses over the joints' ranges are clear of the floor, expected {count}:"
+        f"arm {arm.name}: {len(poses)} of {drawn} poses over the joints' ranges are clear of the floor, expected {count}:"
         " see [limits] floor_z_m and the joints' limits"
     )
 
@@ -209,9 +209,9 @@ class _Study:
         rng = task_rng(self._design.seed, number)
         blocks = [self._block(rng, min(BLOCK, count - k)) for k in range(0, count, BLOCK)]
         distances = np.concatenate(blocks, axis=1)  # (stages, arms, poses)
-        found = {"mean_square_m2": np.mean(distances**2, axis=2), "kept_m": np.quantile(distances, SHARE, axis=2)}
+        results = {"mean_square_m2": np.mean(distances**2, axis=2), "kept_m": np.quantile(distances, SHARE, axis=2)}
         mapped = max(0, MAP_ARMS - number * CHUNK)
-        return found | ({"distance_m": distances[:, :mapped]} if mapped else {})
+        return results | ({"distance_m": distances[:, :mapped]} if mapped else {})
 
     def _block(self, rng: np.random.Generator, count: int) -> Array:
         """Distances of the tip from where the file puts it, (stages, count, poses of the map)."""

@@ -129,7 +129,7 @@ def _repeats(points: Points) -> list[list[int]]:
 
 
 def verdict(
-    found: Identification,
+    fit: Identification,
     held: HeldOut | None,
     floor: NoiseFloor | None,
     suspects: Suspects | None = None,
@@ -139,26 +139,26 @@ def verdict(
     """The verdict on a calibration; `setups` names the setup of each point, for the advice, `still` joints that never moved."""
     slips = _slips(suspects)
     held = held.without(slips) if held is not None else None
-    grade = "too few points" if still else _grade(found, held, floor, slips)
-    sentences = [_answer(grade, found)]
+    grade = "too few points" if still else _grade(fit, held, floor, slips)
+    sentences = [_answer(grade, fit)]
     if still:
         sentences.append(f"{' and '.join(still)} never moved: what belongs to them was not tested.")
-    if floor is not None and _is_untouched(found, floor):
+    if floor is not None and _is_untouched(fit, floor):
         sentences.append(
-            f"The points scatter by {1e3 * _axis_m(found):.2g} mm about the fit, far less than the noise that is stated: they"
+            f"The points scatter by {1e3 * _axis_m(fit):.2g} mm about the fit, far less than the noise that is stated: they"
             " were not measured with it."
         )
     if held is not None:
-        sentences += [*_on_held_out(held, floor, len(slips)), *_against_paper(found, held)]
+        sentences += [*_on_held_out(held, floor, len(slips)), *_against_paper(fit, held)]
     if grade == "over-fitted" and held is not None:
         sentences.append(
-            f"The mean error is {1e3 * found.mean_after_m:.3f} mm at the points of the fit and"
+            f"The mean error is {1e3 * fit.mean_after_m:.3f} mm at the points of the fit and"
             f" {1e3 * float(np.mean(held.after_m)):.3f} mm at held-out points: parameters follow the noise, or the other"
             " points do not cover the held-out ones."
         )
     if len(set(setups)) == 1 and grade in ("good", "noise not known", "not at the floor"):
         sentences.append(f'This applies only around the setup "{setups[0]}": nothing else was tested.')
-    steps = (*_about_suspects(suspects), *_next(grade, found, floor, sorted(set(setups))))
+    steps = (*_about_suspects(suspects), *_next(grade, fit, floor, sorted(set(setups))))
     return Verdict(grade, tuple(sentences), steps)
 
 
@@ -169,41 +169,41 @@ def _slips(suspects: Suspects | None) -> frozenset[int]:
     return frozenset(one.row for one in suspects.outliers)
 
 
-def _grade(found: Identification, held: HeldOut | None, floor: NoiseFloor | None, slips: Collection[int] = ()) -> Grade:
-    if 3 * len(found.error_after_m) - found.rank < FREEDOM_MINIMUM or held is None:
+def _grade(fit: Identification, held: HeldOut | None, floor: NoiseFloor | None, slips: Collection[int] = ()) -> Grade:
+    if 3 * len(fit.error_after_m) - fit.rank < FREEDOM_MINIMUM or held is None:
         return "too few points"
     if held.improvement_percent <= WORSE_PERCENT:
         return "worse"
-    if _over_fit(found, held, slips) > OVER_FITTED:
+    if _over_fit(fit, held, slips) > OVER_FITTED:
         return "over-fitted"
-    if floor is None or _is_untouched(found, floor):
+    if floor is None or _is_untouched(fit, floor):
         return "noise not known"
     return "good" if float(np.mean(held.after_m)) <= GOOD * floor.mean_m else "not at the floor"
 
 
-def _axis_m(found: Identification) -> float:
+def _axis_m(fit: Identification) -> float:
     """Standard deviation of one axis about the fit."""
-    m = len(found.error_after_m)
-    return float(np.sqrt(np.sum(found.error_after_m**2) / max(1, 3 * m - found.rank)))
+    m = len(fit.error_after_m)
+    return float(np.sqrt(np.sum(fit.error_after_m**2) / max(1, 3 * m - fit.rank)))
 
 
-def _is_untouched(found: Identification, floor: NoiseFloor) -> bool:
+def _is_untouched(fit: Identification, floor: NoiseFloor) -> bool:
     """Whether the points know nothing of the noise."""
-    return _axis_m(found) < UNTOUCHED * floor.axis_m
+    return _axis_m(fit) < UNTOUCHED * floor.axis_m
 
 
-def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
+def _over_fit(fit: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
     """RMS error at held-out points over its expectation from the fit's residual."""
-    share = found.rank / (3.0 * len(found.error_after_m))
-    fitted = np.delete(found.error_after_m, sorted(slips), axis=0)
+    share = fit.rank / (3.0 * len(fit.error_after_m))
+    fitted = np.delete(fit.error_after_m, sorted(slips), axis=0)
     rms_m = float(np.sqrt(np.mean(np.sum(fitted**2, axis=1))))
     expected = rms_m * math.sqrt((1.0 + share) / max(1.0 - share, 0.05))
     return float(np.sqrt(np.mean(held.after_m**2))) / max(expected, EXACT_m)
 
 
-def _answer(grade: Grade, found: Identification) -> str:
+def _answer(grade: Grade, fit: Identification) -> str:
     """The first sentence; it names parameters at their bounds, where that limits what the result is worth."""
-    bound = [estimate.parameter.name for estimate in found.estimates if estimate.is_at_bound]
+    bound = [estimate.parameter.name for estimate in fit.estimates if estimate.is_at_bound]
     rest = "rests on its bound" if len(bound) == 1 else "rest on their bounds"
     if grade == "good" and bound:
         return (
@@ -246,20 +246,20 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
     return sentences
 
 
-def _against_paper(found: Identification, held: HeldOut) -> list[str]:
+def _against_paper(fit: Identification, held: HeldOut) -> list[str]:
     """Improvement beside SpringerPlus 5:1771, Table 4, for setups of the paper's names; another arm is not compared."""
-    lengths_m = np.abs(found.nominal_dh[:, [0, 2]])
+    lengths_m = np.abs(fit.nominal_dh[:, [0, 2]])
     if lengths_m.shape != PAPER_LENGTHS_m.shape or np.abs(lengths_m - PAPER_LENGTHS_m).max() > SAME_ARM_m:
         return []
-    own = {
+    ours = {
         name: 100.0 * (1.0 - fold.mean_after_m / max(fold.mean_before_m, 1e-12))
         for fold in held.folds
         for name in PAPER_PERCENT
         if fold.name == f'setup "{name}"'
     }
-    if not own:
+    if not ours:
         return []
-    pairs = ", ".join(f"{name} {own[name]:.1f} % (paper {PAPER_PERCENT[name]} %)" for name in own)
+    pairs = ", ".join(f"{name} {ours[name]:.1f} % (paper {PAPER_PERCENT[name]} %)" for name in ours)
     return [f"Improvement compared with SpringerPlus 5:1771: {pairs}."]
 
 
@@ -282,7 +282,7 @@ def _about_suspects(suspects: Suspects | None) -> list[str]:
     ]
 
 
-def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups: list[str]) -> list[str]:
+def _next(grade: Grade, fit: Identification, floor: NoiseFloor | None, setups: list[str]) -> list[str]:
     """Next steps, the most useful first."""
     sentences = []
     if grade == "too few points":
@@ -297,13 +297,13 @@ def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups:
             "Take free poses away from the board, or more tilts, so that the points cover the arm's working volume; or fix"
             " parameters that the points hardly determine."
         )
-    if not math.isfinite(found.condition_number) or found.condition_number > CONDITION_LIMIT:
+    if not math.isfinite(fit.condition_number) or fit.condition_number > CONDITION_LIMIT:
         tilts = "more tilts of the board and " if len(setups) == 1 else ""
         sentences.append(
-            f"The points determine some parameters {found.condition_number:.0f} times worse than others: add {tilts}a dozen"
+            f"The points determine some parameters {fit.condition_number:.0f} times worse than others: add {tilts}a dozen"
             " poses away from the board (armwright plan-poses)."
         )
-    binding = [e.parameter.name for e in found.estimates if e.is_at_bound and e.is_determined]
+    binding = [e.parameter.name for e in fit.estimates if e.is_at_bound and e.is_determined]
     if binding:
         sentences.append(
             f"{', '.join(binding)} rest{'s' if len(binding) == 1 else ''} on the bound: measure the part, or widen the bound"

@@ -31,21 +31,21 @@ COLUMNS = ("left", "centre", "right")
 
 def advice(fit: LensFit) -> tuple[str, ...]:
     """One sentence for each thing that the pictures lack; none if they lack nothing."""
-    found = [
+    lacks = [
         _about_count(fit),
         _about_coverage(fit),
         *_about_tilt(fit.seen),
         _about_distance(fit.seen),
         _named(
             fit.seen,
-            lambda one: one.sighting.blur_px > BLUR_MOST_px,
+            lambda shot: shot.sighting.blur_px > BLUR_MOST_px,
             "blurred: hold the board still, add light, focus once and keep it",
         ),
-        _named(fit.seen, lambda one: one.sighting.contrast < CONTRAST_LEAST, "pale: add light, avoid reflections on the print"),
+        _named(fit.seen, lambda shot: shot.sighting.contrast < CONTRAST_LEAST, "pale: add light, avoid reflections on the print"),
         _about_outliers(fit.seen),
         *_about_result(fit),
     ]
-    return tuple(sentence for sentence in found if sentence)
+    return tuple(sentence for sentence in lacks if sentence)
 
 
 def uncovered(fit: LensFit) -> tuple[str, ...]:
@@ -73,15 +73,15 @@ def _about_coverage(fit: LensFit) -> str:
 
 def _about_tilt(seen: Sequence[SeenPicture]) -> list[str]:
     tilts = np.abs([one.tilt for one in seen])
-    found = []
+    lacks = []
     for axis, name, way in ((0, "horizontal", "top or bottom"), (1, "vertical", "left or right edge")):
         count = int(np.sum(tilts[:, axis] > TILT_rad))
         if count < TILTED_WANTED:
-            found.append(
+            lacks.append(
                 f"{count} pictures are tilted by more than {math.degrees(TILT_rad):.0f} deg about the picture's {name} axis: take"
                 f" {TILTED_WANTED} or more with the {way} of the board nearer to the camera"
             )
-    return found
+    return lacks
 
 
 def _about_distance(seen: Sequence[SeenPicture]) -> str:
@@ -95,31 +95,31 @@ def _about_distance(seen: Sequence[SeenPicture]) -> str:
 
 
 def _about_outliers(seen: Sequence[SeenPicture]) -> str:
-    middle = float(np.median([one.rms_px for one in seen]))
+    middle = float(np.median([shot.rms_px for shot in seen]))
     return _named(
         seen,
-        lambda one: one.rms_px > WORSE_TIMES * middle,
+        lambda shot: shot.rms_px > WORSE_TIMES * middle,
         f"residual above {WORSE_TIMES:.0f} times that of the others: the board moved, or is bent; remove and take again",
     )
 
 
 def _about_result(fit: LensFit) -> list[str]:
-    found = []
+    lacks = []
     share = float(np.max(fit.lens.sd[:2] / fit.lens.values[:2]))
     if share > FOCAL_SD_MOST:
-        found.append(
+        lacks.append(
             f"the focal length is uncertain by {100 * share:.2f} % (standard deviation), {1e3 * share * 0.5:.1f} mm at 0.5 m:"
             " take more pictures, tilted and near"
         )
     bent = systematic_px(fit)
     if bent > fit.lens.noise_px:
-        found.append(
+        lacks.append(
             f"residuals of neighbouring corners agree by {bent:.2f} px in one part of the picture: a bent board, or"
             " a lens beyond this model (fish-eye); check that the board is flat"
         )
     if fit.held_out_px is not None and fit.held_out_px > HELD_OUT_TIMES * fit.rms_px:
-        found.append(f"pictures left out are off by {fit.held_out_px:.2f} px, those of the fit by {fit.rms_px:.2f} px: take more")
-    return found
+        lacks.append(f"pictures left out are off by {fit.held_out_px:.2f} px, those of the fit by {fit.rms_px:.2f} px: take more")
+    return lacks
 
 
 def systematic_px(fit: LensFit) -> float:
@@ -171,23 +171,23 @@ def lens_text(fit: LensFit) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _picture(one: SeenPicture) -> tuple[str, ...]:
-    tilt = " ".join(f"{math.degrees(angle):4.0f}" for angle in one.tilt)
-    blur = "" if math.isnan(one.sighting.blur_px) else f"{one.sighting.blur_px:.1f}"
-    corners = str(len(one.sighting.corners))
-    return (one.sighting.name, corners, f"{one.rms_px:.3f}", f"{1e3 * one.distance_m:.0f}", tilt, blur)
+def _picture(shot: SeenPicture) -> tuple[str, ...]:
+    tilt = " ".join(f"{math.degrees(angle):4.0f}" for angle in shot.tilt)
+    blur = "" if math.isnan(shot.sighting.blur_px) else f"{shot.sighting.blur_px:.1f}"
+    corners = str(len(shot.sighting.corners))
+    return (shot.sighting.name, corners, f"{shot.rms_px:.3f}", f"{1e3 * shot.distance_m:.0f}", tilt, blur)
 
 
-def poses_text(found: PoseSet) -> str:
+def poses_text(poses: PoseSet) -> str:
     """How many pictures gave a pose, how certain, and why the others did not."""
-    lines = [f"{len(found.measured)} of {len(found.measured) + len(found.rejected)} pictures give a pose of the target."]
-    lines += [f"Camera {name}: a corner is found to {noise:.3f} px." for name, noise in found.noise_px.items()]
-    lines += [_spread_line("standard deviation, median", found.measured, 0.5)]
-    lines += [_spread_line("standard deviation, largest", found.measured, 1.0)]
-    lines += [_common_line(found.measured)]
-    lines += [f"Not used: {one.name} {one.reason}." for one in found.rejected[:REJECTED_NAMED]]
-    if len(found.rejected) > REJECTED_NAMED:
-        lines.append(f"Not used: {len(found.rejected) - REJECTED_NAMED} more.")
+    lines = [f"{len(poses.measured)} of {len(poses.measured) + len(poses.rejected)} pictures give a pose of the target."]
+    lines += [f"Camera {name}: a corner is found to {noise:.3f} px." for name, noise in poses.noise_px.items()]
+    lines += [_spread_line("standard deviation, median", poses.measured, 0.5)]
+    lines += [_spread_line("standard deviation, largest", poses.measured, 1.0)]
+    lines += [_common_line(poses.measured)]
+    lines += [f"Not used: {one.name} {one.reason}." for one in poses.rejected[:REJECTED_NAMED]]
+    if len(poses.rejected) > REJECTED_NAMED:
+        lines.append(f"Not used: {len(poses.rejected) - REJECTED_NAMED} more.")
     return "\n".join(lines) + "\n"
 
 
@@ -204,9 +204,9 @@ def _common_line(measured: tuple[MeasuredPose, ...]) -> str:
     )
 
 
-def _spread(covariance: np.ndarray, one: MeasuredPose) -> tuple[float, float, float]:
+def _spread(covariance: np.ndarray, measured: MeasuredPose) -> tuple[float, float, float]:
     """Standard deviations along the line of sight, across it, and of the turn about the worst axis."""
-    ray = one.pose.position_m / np.linalg.norm(one.pose.position_m)
+    ray = measured.pose.position_m / np.linalg.norm(measured.pose.position_m)
     position, turn = covariance[:3, :3], covariance[3:, 3:]
     along = float(ray @ position @ ray)
     across = 0.5 * (float(np.trace(position)) - along)

@@ -138,7 +138,7 @@ _MORE = "tilt the board by 20 to 40 degrees to all sides, and bring it nearer an
 
 def _refined(lens: Lens, chosen: Sequence[Sighting], free: int) -> LensFit:
     """Least squares over lens (its first `free` values) and poses, with the lens's covariance."""
-    poses = [_pose(lens, one) for one in chosen]
+    poses = [_pose(lens, shot) for shot in chosen]
     before = np.inf
     for _ in range(STEPS_MOST):
         parts = _misfits(lens, chosen, poses)
@@ -160,7 +160,7 @@ def _refined(lens: Lens, chosen: Sequence[Sighting], free: int) -> LensFit:
     if not (np.isfinite(lens.sd).all() and (lens.sd[:2] < FOCAL_SHARE_MOST * lens.values[:2]).all()):
         raise VisionError(f"the pictures determine no lens (the focal length is uncertain by more than 10 %): {_MORE}")
     seen = [
-        SeenPicture(one, pose, frozen(part.error_px.reshape(-1, 2))) for one, pose, part in zip(chosen, poses, parts, strict=True)
+        SeenPicture(shot, pose, frozen(m.error_px.reshape(-1, 2))) for shot, pose, m in zip(chosen, poses, parts, strict=True)
     ]
     return LensFit(lens, tuple(seen), (), None)
 
@@ -187,11 +187,11 @@ def _inverse(normal: Array) -> Array:
         raise VisionError(f"the pictures determine no lens: {_MORE}") from None
 
 
-def _pose(lens: Lens, one: Sighting) -> Pose:
-    found = started_pose(CameraView(lens, one.corners), is_flat=True)
-    if found is None:
-        raise VisionError(f"picture {one.name}: its {len(one.corners)} corners fit no pose of the board: leave it out")
-    return found
+def _pose(lens: Lens, sighting: Sighting) -> Pose:
+    pose = started_pose(CameraView(lens, sighting.corners), is_flat=True)
+    if pose is None:
+        raise VisionError(f"picture {sighting.name}: its {len(sighting.corners)} corners fit no pose of the board: leave it out")
+    return pose
 
 
 def _held_out(pictures: Sightings) -> float | None:
@@ -204,9 +204,9 @@ def _held_out(pictures: Sightings) -> float | None:
             lens = _fitted(pictures, pictures.seen[1 - part :: 2]).lens
         except VisionError:
             return None
-        for one in pictures.seen[part::2]:
-            squares += solved_pose([CameraView(lens, one.corners)], _pose(lens, one))[1]
-            freedom += 2 * len(one.corners) - 6
+        for sighting in pictures.seen[part::2]:
+            squares += solved_pose([CameraView(lens, sighting.corners)], _pose(lens, sighting))[1]
+            freedom += 2 * len(sighting.corners) - 6
     return math.sqrt(2.0 * squares / freedom)
 
 
@@ -215,8 +215,8 @@ PIXELS_MOST = 100_000
 READOUT_MOST_s = 1.0
 
 
-def write_camera(path: Path, fit: LensFit, target: str, said: Sequence[str], made: Provenance) -> None:
-    """Write the fit; `said`: the advice."""
+def write_camera(path: Path, fit: LensFit, target: str, advice: Sequence[str], made: Provenance) -> None:
+    """Write the fit; with the `advice`."""
     lens = fit.lens
     content = {
         "target": target,
@@ -226,16 +226,16 @@ def write_camera(path: Path, fit: LensFit, target: str, said: Sequence[str], mad
         **entries(fit, "rms_px", "held_out_px"),
         "pictures": [
             {
-                "name": one.sighting.name,
-                "corners": len(one.sighting.corners),
-                **entries(one, "rms_px", "distance_m"),
-                "tilt_rad": one.tilt,
-                "blur_px": one.sighting.blur_px,
+                "name": picture.sighting.name,
+                "corners": len(picture.sighting.corners),
+                **entries(picture, "rms_px", "distance_m"),
+                "tilt_rad": picture.tilt,
+                "blur_px": picture.sighting.blur_px,
             }
-            for one in fit.seen
+            for picture in fit.seen
         ],
         "without_board": fit.unseen,
-        "advice": said,
+        "advice": advice,
     }
     write_json(path, made.heading(FORMAT) | content)
 
@@ -275,7 +275,7 @@ def _limits(least: float, most: float) -> str:
 
 def _covariance(path: Path, value: Any) -> Array:
     k = len(NAMES)
-    found = array_in(f"{path}, covariance", value, (k, k), VisionError)
-    if not np.allclose(found, found.T):
+    covariance = array_in(f"{path}, covariance", value, (k, k), VisionError)
+    if not np.allclose(covariance, covariance.T):
         raise VisionError(f"{path}, covariance: expected {k} by {k} numbers, symmetric")
-    return found
+    return covariance

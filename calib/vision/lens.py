@@ -201,12 +201,12 @@ def started_pose(view: CameraView, is_flat: bool) -> Pose | None:
 
 def best_poses(views: Sequence[CameraView], is_flat: bool) -> list[tuple[Pose, float]]:
     """Different poses that are least squares of the views, with their sums of squares [px^2], the best first."""
-    found: list[tuple[Pose, float]] = []
-    for start in (one for view in views for one in candidates(view, is_flat)):
+    minima: list[tuple[Pose, float]] = []
+    for start in (start for view in views for start in candidates(view, is_flat)):
         pose, total = solved_pose(views, start)
-        if np.isfinite(total) and all(_angle(pose, other) > SAME_POSE_rad for other, _ in found):
-            found.append((pose, total))
-    return sorted(found, key=lambda one: one[1])
+        if np.isfinite(total) and all(_angle(pose, other) > SAME_POSE_rad for other, _ in minima):
+            minima.append((pose, total))
+    return sorted(minima, key=lambda minimum: minimum[1])
 
 
 def shared_step(
@@ -215,11 +215,11 @@ def shared_step(
     """Gauss-Newton's step of shared unknowns (p,) and of every pose (6,), and the reduced normal matrix (p, p)."""
     p = by_shared[0].shape[1]
     normal, pull, inner = np.zeros((p, p)), np.zeros(p), []
-    for error, shared, own in zip(errors, by_shared, by_pose, strict=True):
-        gain = np.linalg.pinv(own)
-        left = shared - own @ (gain @ shared)
-        normal += shared.T @ left
-        pull += left.T @ error
+    for error, shared, lever in zip(errors, by_shared, by_pose, strict=True):
+        gain = np.linalg.pinv(lever)
+        projected = shared - lever @ (gain @ shared)
+        normal += shared.T @ projected
+        pull += projected.T @ error
         inner.append((gain @ error, gain @ shared))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     step = scale * np.linalg.lstsq(normal * np.outer(scale, scale), scale * pull, rcond=1e-14)[0]
@@ -232,9 +232,9 @@ def _squares(views: Sequence[CameraView], pose: Pose) -> float:
     return float(sum(np.sum(misfit(view, pose).error_px ** 2) for view in views))
 
 
-def _angle(one: Pose, other: Pose) -> float:
+def _angle(first: Pose, second: Pose) -> float:
     """Between two orientations."""
-    cosine = 0.5 * (np.trace(one.rotation @ other.rotation.T) - 1.0)
+    cosine = 0.5 * (np.trace(first.rotation @ second.rotation.T) - 1.0)
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 

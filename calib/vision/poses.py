@@ -110,14 +110,14 @@ def measure_poses(target: PrintedTarget, cameras: Sequence[CameraPictures], spee
     noise = _noise(by_name, solved)
     measured = []
     for name, (views, poses) in solved.items():
-        own = [camera for camera, _ in by_name[name]]
-        scale = [noise[camera.name] for camera in own]
+        seeing = [camera for camera, _ in by_name[name]]
+        scale = [noise[camera.name] for camera in seeing]
         reason = _reason(views, poses, scale)
         if reason:
             rejected.append(RejectedPicture(name, reason))
         else:
-            spread = [stands[camera.name].covariance for camera in own]
-            measured.append(_measured(name, own, views, poses[0][0], scale, spread, speed_m_s))
+            spread = [stands[camera.name].covariance for camera in seeing]
+            measured.append(_measured(name, seeing, views, poses[0][0], scale, spread, speed_m_s))
     if not measured:
         remedies = [f"; {camera.pictures.remedy}" for camera in cameras if camera.pictures.remedy]
         raise VisionError(f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}{remedies[0] if remedies else ''}")
@@ -135,11 +135,11 @@ def _require_own_pictures(camera: CameraPictures) -> None:
 
 def _together(cameras: Sequence[CameraPictures]) -> dict[str, list[tuple[CameraPictures, Sighting]]]:
     """What the cameras saw, by the pictures' names."""
-    found: dict[str, list[tuple[CameraPictures, Sighting]]] = {}
+    by_name: dict[str, list[tuple[CameraPictures, Sighting]]] = {}
     for camera in cameras:
-        for one in camera.pictures.seen:
-            found.setdefault(one.name, []).append((camera, one))
-    return dict(sorted(found.items()))
+        for sighting in camera.pictures.seen:
+            by_name.setdefault(sighting.name, []).append((camera, sighting))
+    return dict(sorted(by_name.items()))
 
 
 def _unseen(cameras: Sequence[CameraPictures], by_name: Mapping[str, object]) -> list[str]:
@@ -150,17 +150,17 @@ def _cleared(
     parts: list[tuple[CameraPictures, Sighting]], stands: Mapping[str, Stand], is_flat: bool
 ) -> list[tuple[CameraPictures, Sighting]]:
     """One picture's sightings without corners that were found beside their place; with few corners all are kept."""
-    if sum(len(one.corners) for _, one in parts) < CORNERS_TO_COMPARE:
+    if sum(len(sighting.corners) for _, sighting in parts) < CORNERS_TO_COMPARE:
         return parts
-    views = [CameraView(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
+    views = [CameraView(camera.lens, sighting.corners, stands[camera.name].pose) for camera, sighting in parts]
     poses = best_poses(views, is_flat)
     if not poses:
         return parts
     errors = [misfit(view, poses[0][0]).error_px.reshape(-1, 2) for view in views]
     noise = robust_noise_px(np.concatenate(errors))
     return [
-        (camera, replace(one, corners=one.corners.agreeing(error, noise, CORNERS_LEAST)))
-        for (camera, one), error in zip(parts, errors, strict=True)
+        (camera, replace(sighting, corners=sighting.corners.agreeing(error, noise, CORNERS_LEAST)))
+        for (camera, sighting), error in zip(parts, errors, strict=True)
     ]
 
 
@@ -177,9 +177,9 @@ def _noise(by_name: Mapping[str, list[tuple[CameraPictures, Sighting]]], solved:
         views, poses = solved[name]
         if not poses:
             continue
-        freedom = sum(2 * len(one.corners) for _, one in parts) - 6
-        for (camera, one), view in zip(parts, views, strict=True):
-            share = freedom * 2 * len(one.corners) / (freedom + 6)
+        freedom = sum(2 * len(sighting.corners) for _, sighting in parts) - 6
+        for (camera, sighting), view in zip(parts, views, strict=True):
+            share = freedom * 2 * len(sighting.corners) / (freedom + 6)
             total = float(np.sum(misfit(view, poses[0][0]).error_px ** 2))
             variances.setdefault(camera.name, []).append((total, share))
     return {name: _pooled(parts) for name, parts in variances.items()}
@@ -224,12 +224,12 @@ def _measured(
     inverse: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
     weighted = sum((p.error_px @ p.error_px / s**2 for p, s in zip(parts, noise_px, strict=True)), 0.0)
     freedom = sum(len(p.error_px) for p in parts) - 6
-    own = (POOLED_FREEDOM + weighted) / (POOLED_FREEDOM + freedom)  # this picture's variance over the usual one
+    ratio = (POOLED_FREEDOM + weighted) / (POOLED_FREEDOM + freedom)  # this picture's variance over the usual one
     common = _common(inverse, parts, views, noise_px, stands)
     moved = motion_covariance(views, speed_m_s)
     corners = sum(len(view.corners) for view in views)
     rms = math.sqrt(sum(float(p.error_px @ p.error_px) for p in parts) / corners)
-    covariance: Array = own * inverse + common + moved
+    covariance: Array = ratio * inverse + common + moved
     return MeasuredPose(name, pose, frozen(covariance), frozen(common), rms, corners, tuple(c.name for c in cameras))
 
 
@@ -237,12 +237,12 @@ def _common(
     inverse: Array, parts: Sequence[Misfit], views: Sequence[CameraView], noise_px: Sequence[float], stands: Sequence[Array]
 ) -> Array:
     """Covariance (6, 6) of a pose by what all pictures share: lenses, and where the cameras stand."""
-    found = np.zeros((6, 6))
+    covariance = np.zeros((6, 6))
     for part, view, noise, stand in zip(parts, views, noise_px, stands, strict=True):
         gain = inverse @ part.by_pose.T / noise**2
         by_lens, by_stand = gain @ part.by_lens, gain @ part.by_stand
-        found += by_lens @ view.lens.covariance @ by_lens.T + by_stand @ stand @ by_stand.T
-    return found
+        covariance += by_lens @ view.lens.covariance @ by_lens.T + by_stand @ stand @ by_stand.T
+    return covariance
 
 
 def motion_covariance(views: Sequence[CameraView], speed_m_s: float) -> Array:
@@ -251,7 +251,7 @@ def motion_covariance(views: Sequence[CameraView], speed_m_s: float) -> Array:
     The rows that the target covers are read over a part of readout_s; the motion in that time spreads evenly and shears the
     target.
     """
-    found = np.zeros((6, 6))
+    covariance = np.zeros((6, 6))
     for view in views:
         rows = view.corners.picture_px[:, 1]
         share = (rows.max() - rows.min()) / view.lens.height_px
@@ -259,8 +259,8 @@ def motion_covariance(views: Sequence[CameraView], speed_m_s: float) -> Array:
         whole = speed_m_s * view.lens.readout_s  # against the moment of the encoders
         size = float(np.ptp(view.corners.target_m, axis=0).max())
         here = np.diag([whole**2 / 12.0] * 3 + [(moved / max(size, 1e-6)) ** 2 / 12.0] * 3)
-        found = np.maximum(found, here)
-    return found
+        covariance = np.maximum(covariance, here)
+    return covariance
 
 
 # Where several cameras stand to the first, from pictures that two of them took of one target at one moment.
@@ -299,7 +299,7 @@ def stands_of(
 ) -> dict[str, Stand]:
     """The stand of every camera. VisionError for one that shares too few pictures with the first."""
     first, *others = lenses
-    found = {first: FIRST}
+    stands = {first: FIRST}
     for name in others:
         pairs = []
         for parts in by_name.values():
@@ -311,8 +311,8 @@ def stands_of(
                 f"cameras {first} and {name} both saw the target in {len(pairs)} pictures of one name, {COMMON_LEAST} are needed"
                 " to know where they stand to each other"
             )
-        found[name] = _stand(lenses[first], lenses[name], pairs, is_flat)
-    return found
+        stands[name] = _stand(lenses[first], lenses[name], pairs, is_flat)
+    return stands
 
 
 def _stand(first: Lens, second: Lens, pairs: Sequence[tuple[SeenCorners, SeenCorners]], is_flat: bool) -> Stand:
@@ -338,13 +338,13 @@ def _started(
     """Each camera for itself; the stand is the mean of what the pairs say."""
     poses, stands = [], []
     for ours, theirs in pairs:
-        mine, other = (started_pose(CameraView(first, ours), is_flat), started_pose(CameraView(second, theirs), is_flat))
-        if mine is None or other is None:
+        mine, yours = (started_pose(CameraView(first, ours), is_flat), started_pose(CameraView(second, theirs), is_flat))
+        if mine is None or yours is None:
             raise VisionError("a picture of two cameras fits no pose of the target: check --board, --tag and the cameras' files")
         poses.append(mine)
-        stands.append(other.after(mine.inverse))
-    rotation = mean_rotation(np.array([one.rotation for one in stands]))
-    middle = np.median([other.position_m for other in stands], axis=0)
+        stands.append(yours.after(mine.inverse))
+    rotation = mean_rotation(np.array([stand.rotation for stand in stands]))
+    middle = np.median([stand.position_m for stand in stands], axis=0)
     return poses, Pose(rotation, middle)
 
 
@@ -379,7 +379,7 @@ def with_pictures(points: Points, measured: Sequence[MeasuredPose]) -> tuple[Poi
     Positions, orientations and covariances are in the first camera's frame. Covariances are of what differs from picture to
     picture: what all share moves with the camera's frame.
     """
-    by_name = {one.name: one for one in measured}
+    by_name = {picture.name: picture for picture in measured}
     names = [picture_name(*key) for key in zip(points.setup, points.point, points.repeat, strict=True)]
     rows = [k for k, name in enumerate(names) if name in by_name]
     if not rows:
@@ -387,28 +387,28 @@ def with_pictures(points: Points, measured: Sequence[MeasuredPose]) -> tuple[Poi
             f"no picture is called like a pose of the points: expected names such as {names[0]}.png (setup, point, repeat), got"
             f" {measured[0].name}"
         )
-    said = []
+    sentences = []
     strange = sorted(set(by_name) - set(names))
     if strange:
-        said.append(f"pictures that belong to no pose of the points: {', '.join(strange)}")
+        sentences.append(f"pictures that belong to no pose of the points: {', '.join(strange)}")
     if len(rows) < len(names):
-        said.append(f"{len(names) - len(rows)} poses of the points have no measured picture and are left out")
+        sentences.append(f"{len(names) - len(rows)} poses of the points have no measured picture and are left out")
     chosen, ours = points.chosen(rows), [by_name[names[k]] for k in rows]
     made = make_points(
         chosen.setup,
         chosen.point,
         chosen.repeat,
         chosen.q_rad,
-        np.array([one.pose.position_m for one in ours]),
+        np.array([picture.pose.position_m for picture in ours]),
         chosen.direction,
         chosen.current_A,
         chosen.t_s,
         chosen.payload_kg,
         {**chosen.extra, "frame": (CAMERA_FRAME,) * len(rows)},
-        quaternions(np.array([one.pose.rotation for one in ours])),
-        np.array([covariance_row(one.covariance - one.common) for one in ours]),
+        quaternions(np.array([picture.pose.rotation for picture in ours])),
+        np.array([covariance_row(picture.covariance - picture.common) for picture in ours]),
     )
-    return made, tuple(said)
+    return made, tuple(sentences)
 
 
 def covariance_row(covariance: Array) -> Array:
@@ -421,15 +421,15 @@ def poses_text(measured: Sequence[MeasuredPose]) -> str:
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
     writer.writerow([*(column.name for column in MARKERS.columns), *ORIENTATION, *COVARIANCE])
-    turns = quaternions(np.array([one.pose.rotation for one in measured]))
-    for one, turn in zip(measured, turns, strict=True):
+    turns = quaternions(np.array([picture.pose.rotation for picture in measured]))
+    for picture, turn in zip(measured, turns, strict=True):
         writer.writerow(
             [
                 SETUP,
-                one.name,
-                *(f"{value:.7f}" for value in one.pose.position_m),
+                picture.name,
+                *(f"{value:.7f}" for value in picture.pose.position_m),
                 *(f"{value:.9f}" for value in turn),
-                *(f"{value:.6e}" for value in covariance_row(one.covariance)),
+                *(f"{value:.6e}" for value in covariance_row(picture.covariance)),
             ]
         )
     return lines.getvalue()

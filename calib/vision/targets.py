@@ -49,10 +49,10 @@ def picture_files(folder: Path) -> list[Path]:
     """The pictures of a folder by name. VisionError if there are none."""
     if not folder.is_dir():
         raise VisionError(f"{folder}: expected a folder with pictures ({', '.join(ENDINGS)})")
-    found = sorted(file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
-    if not found:
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+    if not files:
         raise VisionError(f"{folder}: holds no picture: expected files ending in {', '.join(ENDINGS)}")
-    return found
+    return files
 
 
 def png_of(picture: Picture) -> bytes:
@@ -187,10 +187,10 @@ class Charuco:
         """The other layout of the markers, and the board lying on its side."""
         legacy = "without --legacy" if self.is_legacy else "with --legacy"
         turned = f"with --board {self.rows}x{self.columns}"
-        found: dict[str, PrintedTarget] = {legacy: replace(self, is_legacy=not self.is_legacy)}
+        layouts: dict[str, PrintedTarget] = {legacy: replace(self, is_legacy=not self.is_legacy)}
         if self.rows != self.columns:
-            found[turned] = replace(self, columns=self.rows, rows=self.columns)
-        return found
+            layouts[turned] = replace(self, columns=self.rows, rows=self.columns)
+        return layouts
 
     @property
     def print_m(self) -> tuple[float, float]:
@@ -358,16 +358,16 @@ LEAST_SIDE_px = 16.0  # below it, a border of two pixels has no inside
 
 def refined_square(picture: Picture, corners_px: Array) -> Array:
     """Corners (4, 2) refined; unchanged where the square is too small or a side has no edge."""
-    found = np.array(corners_px)
+    refined_px = np.array(corners_px)
     for _ in range(ROUNDS):
-        sides = [_line(picture, found[k], found[(k + 1) % 4]) for k in range(4)]
+        sides = [_line(picture, refined_px[k], refined_px[(k + 1) % 4]) for k in range(4)]
         lines = [side for side in sides if side is not None]
         if len(lines) < 4:
             return corners_px
         met = np.cross(np.array([lines[k - 1] for k in range(4)]), np.array(lines))
-        found = met[:, :2] / met[:, 2:]
-    moved = np.abs(found - corners_px).max()
-    return found if np.isfinite(moved) and moved < REACH_px else corners_px
+        refined_px = met[:, :2] / met[:, 2:]
+    moved = np.abs(refined_px - corners_px).max()
+    return refined_px if np.isfinite(moved) and moved < REACH_px else corners_px
 
 
 def _line(picture: Picture, start: Array, end: Array) -> Array | None:
@@ -497,12 +497,12 @@ def look_for(target: PrintedTarget, files: Sequence[Path], least: int, advance: 
 
 def _remedy(target: PrintedTarget, files: Sequence[Path], least: int) -> str:
     """With which option most pictures, of some that are spread evenly, show the target."""
-    some = files[:: max(1, len(files) // TRIED)]
+    tried = files[:: max(1, len(files) // TRIED)]
     shown = {
-        option: sum(len(other.find(read_picture(file))) >= least for file in some) for option, other in target.others.items()
+        option: sum(len(other.find(read_picture(file))) >= least for file in tried) for option, other in target.others.items()
     }
     best = max(shown, key=lambda option: shown[option], default="")
-    return f"{best}, {shown[best]} of {len(some)} pictures show it" if best and shown[best] else ""
+    return f"{best}, {shown[best]} of {len(tried)} pictures show it" if best and shown[best] else ""
 
 
 def sharpness(picture: Picture, pixels: Array) -> tuple[float, float]:

@@ -62,15 +62,15 @@ def crossings(points_m: npt.ArrayLike, tangents: npt.ArrayLike, attained_m: npt.
     """
     points, along = positions(points_m, "calculation points"), positions(tangents, "tangents")
     attained = positions(attained_m, "attained path", least=2)
-    found = np.full_like(points, np.nan)
+    crossings_m = np.full_like(points, np.nan)
     for i, (point, tangent) in enumerate(zip(points, along, strict=True)):
         height = (attained - point) @ tangent
         k = np.flatnonzero((height[:-1] <= 0.0) != (height[1:] <= 0.0))
         if len(k):
             share = height[k] / (height[k] - height[k + 1])
             places = attained[k] + share[:, None] * (attained[k + 1] - attained[k])
-            found[i] = places[int(np.argmin(norms(places - point)))]
-    return found
+            crossings_m[i] = places[int(np.argmin(norms(places - point)))]
+    return crossings_m
 
 
 def path_accuracy(points_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> PathDeviation:
@@ -280,7 +280,7 @@ def weave_of(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, across: npt.ArrayLike)
 
 def _crossings(y: Array, least: float) -> npt.NDArray[np.intp]:
     """Sample before each zero crossing that reaches at least `least`, to ignore noise."""
-    found: list[int] = []
+    samples: list[int] = []
     side = 0.0
     last = 0
     for k, value in enumerate(y):
@@ -288,6 +288,6 @@ def _crossings(y: Array, least: float) -> npt.NDArray[np.intp]:
             continue
         if side and np.sign(value) != side:
             between = y[last : k + 1]
-            found.append(last + int(np.flatnonzero(np.sign(between[:-1]) != np.sign(between[1:]))[0]))
+            samples.append(last + int(np.flatnonzero(np.sign(between[:-1]) != np.sign(between[1:]))[0]))
         side, last = float(np.sign(value)), k
-    return np.array(found, dtype=np.intp)
+    return np.array(samples, dtype=np.intp)

@@ -254,9 +254,9 @@ def static_compliance(force_N: npt.ArrayLike, tip_m: npt.ArrayLike) -> Complianc
     compliance[:, loaded] = slope.T
     freedom = len(tips) - 1 - len(loaded)
     if freedom > 0:
-        left = tips - forces[:, loaded] @ slope
+        residuals = tips - forces[:, loaded] @ slope
         per_force = np.diag(np.linalg.inv(forces[:, loaded].T @ forces[:, loaded]))
-        sd[:, loaded] = np.sqrt(np.outer((left**2).sum(axis=0) / freedom, per_force))
+        sd[:, loaded] = np.sqrt(np.outer((residuals**2).sum(axis=0) / freedom, per_force))
     return Compliance(frozen(compliance), frozen(sd))
 
 
