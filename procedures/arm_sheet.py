@@ -96,14 +96,14 @@ def sheet(arm: Arm) -> ArmSheet:
     """The figures of an arm, at its usual cycle rate."""
     q = spread_poses(joint_box(arm, margin_rad=0.0), POSES)
     above = _above_floor(arm, q)
-    kept = q[above] if above.any() else q
-    gravity = _torques(arm, kept, 0.0)
+    poses = q[above] if above.any() else q
+    gravity = _torques(arm, poses, 0.0)
     payload = None
     if gravity is not None and len(arm.drives) == arm.joint_count:
-        payload = _payload(arm, kept, gravity, _torques(arm, kept, 1.0))
+        payload = _payload(arm, poses, gravity, _torques(arm, poses, 1.0))
     return ArmSheet(
-        reach=_reach(arm, kept, float(above.mean())),
-        joints=tuple(_joint(arm, joint, kept, gravity) for joint in range(1, arm.joint_count + 1)),
+        reach=_reach(arm, poses, float(above.mean())),
+        joints=tuple(_joint(arm, joint, poses, gravity) for joint in range(1, arm.joint_count + 1)),
         payload=payload,
         buses=_buses(arm, arm.usual_rate_Hz),
     )
@@ -303,9 +303,9 @@ HEAD = ("joint", "range", "speed", "free", "torque", "gravity", "share", "moving
 UNITS = ("", "deg", "deg/s", "deg/s", "N m", "N m", "%", "N m", "mdeg")
 
 
-def sheet_lines(arm: Arm, found: ArmSheet, absent: tuple[Missing, ...]) -> Iterator[str]:
+def sheet_lines(arm: Arm, figures: ArmSheet, absent: tuple[Missing, ...]) -> Iterator[str]:
     """The lines of `armwright arm` behind the DH table."""
-    reach = found.reach
+    reach = figures.reach
     if arm.placeholders:
         yield (
             f"{' and '.join(arm.placeholders)}: PLACEHOLDERS, chosen by `armwright new`: torques, speeds and payload below are"
@@ -315,24 +315,24 @@ def sheet_lines(arm: Arm, found: ArmSheet, absent: tuple[Missing, ...]) -> Itera
         f"reach: {1e3 * reach.farthest_m:.0f} mm from axis 1; heights {1e3 * reach.lowest_m:.0f} to"
         f" {1e3 * reach.highest_m:.0f} mm; {100 * reach.above_floor:.0f} % of all poses stay above the floor"
     )
-    yield aligned((HEAD, UNITS, *(_row(joint) for joint in found.joints)))
+    yield aligned((HEAD, UNITS, *(_row(joint) for joint in figures.joints)))
     yield "free: without load; gravity, moving (at the acceleration limit): worst pose above the floor; step: of the encoder"
-    if found.payload is not None:
-        payload = found.payload
+    if figures.payload is not None:
+        payload = figures.payload
         yield f"payload: {payload.everywhere_kg:.2f} kg held in every pose, {payload.in_half_kg:.2f} kg in half of them;"
         yield (
             f"  {payload.moving_kg:.2f} kg moved in every pose, with all joints at their acceleration limits at once:"
             f" joint {payload.moving_joint} has no torque for more"
         )
-    if found.buses is not None:
-        yield _buses_in_words(arm, found.buses)
-    yield from (f"warning: {text}" for text in warnings(found))
+    if figures.buses is not None:
+        yield _buses_in_words(arm, figures.buses)
+    yield from (f"warning: {text}" for text in warnings(figures))
     yield from (f"missing: {one.what}: {one.needed_for}" for one in absent)
 
 
-def warnings(found: ArmSheet) -> Iterator[str]:
+def warnings(figures: ArmSheet) -> Iterator[str]:
     """What cannot work, although nothing is missing."""
-    for joint in found.joints:
+    for joint in figures.joints:
         if joint.share > FULL:
             yield f"joint {joint.joint} does not hold the arm: {joint.gravity_Nm:.3g} of {joint.torque_Nm:.3g} N m"
         elif joint.share > LITTLE:
@@ -341,10 +341,10 @@ def warnings(found: ArmSheet) -> Iterator[str]:
             yield (f"joint {joint.joint} cannot accelerate as its limit says: {joint.moving_Nm:.3g} of {joint.torque_Nm:.3g} N m")
         if math.isfinite(joint.speed_rad_s) and joint.speed_rad_s > joint.free_speed_rad_s:
             yield f"joint {joint.joint} is slower than its speed limit, even without load"
-    if found.buses is not None:
-        if found.buses.can > USUAL_LOAD:
+    if figures.buses is not None:
+        if figures.buses.can > USUAL_LOAD:
             yield "the CAN bus is too slow for its boards: choose a higher bitrate"
-        if max(found.buses.serial) > FULL:
+        if max(figures.buses.serial) > FULL:
             yield "an encoder board's line is too slow: choose a higher baud rate"
 
 

@@ -48,20 +48,20 @@ def mirror_signs(leader: Placed, follower: Placed) -> tuple[float, ...]:
     The mirror is the plane halfway between the two bases, perpendicular to the line between them.
     """
     require_alike(leader, follower)
-    one, other = np.array(leader.origin_m), np.array(follower.origin_m)
-    length_m = float(np.linalg.norm(other - one))
+    leader_m, follower_m = np.array(leader.origin_m), np.array(follower.origin_m)
+    length_m = float(np.linalg.norm(follower_m - leader_m))
     if length_m < MIRRORED_WITHIN_m:
         raise ArmError(f"follow: arms {leader.name!r} and {follower.name!r} stand at one place: there is no plane between them")
-    normal, middle = (other - one) / length_m, 0.5 * (one + other)
+    normal, middle = (follower_m - leader_m) / length_m, 0.5 * (leader_m + follower_m)
     poses = _poses(leader)
     wanted = []
     for q_rad in poses:
         tip = np.array(leader.in_cell(ForwardKinematics(leader.arm).tip(*q_rad)))
         wanted.append(tip - 2.0 * normal * float(normal @ (tip - middle)))
-    found = ForwardKinematics(follower.arm)
+    kinematics = ForwardKinematics(follower.arm)
 
     def off_m(signs: Sequence[float]) -> float:
-        tips = (follower.in_cell(found.tip(*(s * q for s, q in zip(signs, pose, strict=True)))) for pose in poses)
+        tips = (follower.in_cell(kinematics.tip(*(s * q for s, q in zip(signs, pose, strict=True)))) for pose in poses)
         return max(math.dist(tip, want) for tip, want in zip(tips, wanted, strict=True))
 
     best = min(itertools.product((1.0, -1.0), repeat=follower.arm.joint_count), key=off_m)

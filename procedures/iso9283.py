@@ -262,11 +262,11 @@ def evaluate_files(
     runs: list[RecordedRun] = [run for log in files.logs for run in read_runs(log, arm, files.is_as_given)]
     visited = {str(other): _poses(other, arm, files.is_as_given)[0] for other in files.others}
     corners = read_rectangle(files.programme) if files.programme is not None else None
-    found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))
+    evaluation = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))
     made = made_today(*files.inputs)
-    write_document(out / "iso9283.json", found, arm.name, made)
-    write_page(out / "iso9283.html", found, arm.name, made)
-    return found, warnings
+    write_document(out / "iso9283.json", evaluation, arm.name, made)
+    write_page(out / "iso9283.html", evaluation, arm.name, made)
+    return evaluation, warnings
 
 
 def _poses(path: Path, arm: Arm, is_as_given: bool) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:

@@ -6,10 +6,10 @@ from control.errors import ArmError
 from control.hardware.connect import LinkOptions
 
 
-def link_options(given: argparse.Namespace) -> LinkOptions:
+def link_options(args: argparse.Namespace) -> LinkOptions:
     """The links of the command line."""
-    options = dict(_option(text) for text in given.can_option or ())
-    return LinkOptions(tuple(given.encoder or ()), given.can_interface, given.can_channel, options)
+    options = dict(_option(text) for text in args.can_option or ())
+    return LinkOptions(tuple(args.encoder or ()), args.can_interface, args.can_channel, options)
 
 
 def _option(text: str) -> tuple[str, int | str]:

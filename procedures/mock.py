@@ -55,11 +55,11 @@ SHARED_MACHINE_LAG_S = 0.5
 
 def on_wires(arm: Arm, rig: MockPorts) -> Arm:
     """The arm on the mock's wires. Its limits stay: on the stepped clock no program keeps the boards waiting."""
-    own = dict(enumerate(arm.encoder_boards))
+    boards = dict(enumerate(arm.encoder_boards))
     return replace(
         arm,
         encoder_boards=tuple(
-            replace(own[i], port=url) if i in own else EncoderBoardPort(f"enc{i}", url) for i, url in enumerate(rig.encoder_urls)
+            replace(boards.get(i, EncoderBoardPort(f"enc{i}", url)), port=url) for i, url in enumerate(rig.encoder_urls)
         ),
         boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
         can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),

@@ -31,9 +31,9 @@ def on_boards(arm: Arm, kinds: str | Sequence[str]) -> Arm:
             raise ArmError(f"boards: expected one of {', '.join(NAMES)}, got {kind}")
     boards: list[Board] = []
     drives: list[Drive] = []
-    each = _each(kinds, len(arm.drives))
-    for i, (drive, kind) in enumerate(zip(arm.drives, each, strict=True)):
-        before = each[:i].count(kind)
+    kind_of_drive = _each(kinds, len(arm.drives))
+    for i, (drive, kind) in enumerate(zip(arm.drives, kind_of_drive, strict=True)):
+        before = kind_of_drive[:i].count(kind)
         if kind == REFERENCE:
             board, channel = divmod(before, ENCODER_CHANNELS)
             drives.append(replace(drive, encoder_board=board, encoder_channel=channel))

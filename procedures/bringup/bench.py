@@ -104,11 +104,11 @@ class ReferenceBench(Closing):
         """The inputs of limit switches; None where there are none."""
         switches = [drive.limit_switches for drive in arm.drives if drive.limit_switches]
         named = {name for switch in switches for name in (switch.lower, switch.upper)}
-        found = [pin for pin in arm.digital if pin.name in named and pin.board in self.motors]
-        boards = {pin.board: DigitalPins(self._bus, self.motors[pin.board]) for pin in found}
+        inputs = [pin for pin in arm.digital if pin.name in named and pin.board in self.motors]
+        boards = {pin.board: DigitalPins(self._bus, self.motors[pin.board]) for pin in inputs}
         for node, pins in boards.items():
-            pins.require(1 + max(pin.pin for pin in found if pin.board == node))
-        return NamedPins(found, boards) if found else None
+            pins.require(1 + max(pin.pin for pin in inputs if pin.board == node))
+        return NamedPins(inputs, boards) if inputs else None
 
     def _levels(self) -> dict[str, bool | None]:
         """Levels of the limit switches, which are asked for now and then."""
@@ -363,20 +363,20 @@ def open_bench(
 
 
 @contextmanager
-def opened(given: argparse.Namespace) -> Iterator[Setting]:
+def opened(args: argparse.Namespace) -> Iterator[Setting]:
     """Open the arm of the command line. ArmError if options contradict each other."""
-    draft = load_arm(given.arm)
-    if not given.mock:
+    draft = load_arm(args.arm)
+    if not args.mock:
         for name in ("scenario", "mock_arm"):
-            if getattr(given, name) is not None:
+            if getattr(args, name) is not None:
                 raise ArmError(f"--{name.replace('_', '-')} needs --mock")
-        yield Setting(draft, with_links(draft, link_options(given)), MonotonicClock())
+        yield Setting(draft, with_links(draft, link_options(args)), MonotonicClock())
         return
-    if given.encoder or given.can_interface or given.can_channel:
+    if args.encoder or args.can_interface or args.can_channel:
         raise ArmError("--mock brings its own links: omit --encoder and --can-...")
     from hil_mocks.rig import SteppedRig
     from procedures.mock import wired_to
 
-    built = load_arm(given.mock_arm) if given.mock_arm else draft
-    with SteppedRig(built, given.scenario or "demo") as rig:
+    built = load_arm(args.mock_arm) if args.mock_arm else draft
+    with SteppedRig(built, args.scenario or "demo") as rig:
         yield Setting(draft, wired_to(draft, rig), rig.clock, rig)

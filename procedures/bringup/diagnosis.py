@@ -44,21 +44,21 @@ RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to the data sheet's va
 LEAST_CURRENT_A = 0.1  # smallest current that determines a resistance
 
 
-def diagnose(draft: Drive, wiring: MeasuredWiring, found: JointMeasurements, board_counts: int) -> Diagnosis:
+def diagnose(draft: Drive, wiring: MeasuredWiring, measured: JointMeasurements, board_counts: int) -> Diagnosis:
     """The diagnosis of a joint; `board_counts`: counts per turn of its encoder by its boards."""
     drive = rewired(draft, wiring)
     result = Diagnosis(drive)
-    is_slipping = _slip(result, found)
-    _counts(result, found, board_counts)
-    offset_rad, slope = _line(result, found, is_slipping)
+    is_slipping = _slip(result, measured)
+    _counts(result, measured, board_counts)
+    offset_rad, slope = _line(result, measured, is_slipping)
     if not is_slipping:
-        _gear(result, slope, draft, len(found.readings))
+        _gear(result, slope, draft, len(measured.readings))
     scale = draft.counts_per_joint_turn / result.drive.counts_per_joint_turn
-    _motor(result, found, scale * result.drive.gear_ratio)
-    _friction(result, found, draft, scale)
+    _motor(result, measured, scale * result.drive.gear_ratio)
+    _friction(result, measured, draft, scale)
     if not result.problems:
-        offset_rad = place_home(result, found, offset_rad, scale)
-        place_limits(result, found, offset_rad, scale)
+        offset_rad = place_home(result, measured, offset_rad, scale)
+        place_limits(result, measured, offset_rad, scale)
     return result
 
 
@@ -83,32 +83,32 @@ def rewired(draft: Drive, wiring: MeasuredWiring) -> Drive:
     )
 
 
-def _slip(result: Diagnosis, found: JointMeasurements) -> bool:
+def _slip(result: Diagnosis, measured: JointMeasurements) -> bool:
     """Whether the counts fail to repeat when the joint returns to a place."""
     name = f"joint {result.drive.joint}"
     evidence = []
-    for stops, side in zip(found.stops_rad, ("lower", "upper"), strict=True):
+    for stops, side in zip(measured.stops_rad, ("lower", "upper"), strict=True):
         if len(stops) > 1 and max(stops) - min(stops) > TOUCH_SPREAD_RAD:
             spread = max(stops) - min(stops)
             evidence.append(
                 f"the {side} end stop was touched {len(stops)} times, and the counts differ by {1e3 * spread:.1f} mrad"
             )
-    ways = [[edge for edge, direction, _ in found.edges if direction == way] for way in (1, -1)]
+    ways = [[edge for edge, direction, _ in measured.edges if direction == way] for way in (1, -1)]
     for edges, limit_rad in (
         (ways[0], SAME_WAY_SPREAD_RAD),
         (ways[1], SAME_WAY_SPREAD_RAD),
         (ways[0] + ways[1], EDGE_SPREAD_RAD),
     ):
-        if len(edges) > 1 and max(edges) - min(edges) > limit_rad + found.cycle_rad:
+        if len(edges) > 1 and max(edges) - min(edges) > limit_rad + measured.cycle_rad:
             evidence.append(f"the home switch positions differ by {1e3 * (max(edges) - min(edges)):.1f} mrad")
             break
-    if found.flags & SIGNAL_LOST:
+    if measured.flags & SIGNAL_LOST:
         result.problems.append(f"{name}: LOST ENCODER SIGNAL during motion: check the cable where it bends, and its plug")
     if not evidence:
-        if found.flags & QUADRATURE_ERROR:
+        if measured.flags & QUADRATURE_ERROR:
             result.notes.append(f"{name}: illegal encoder transition: check the shield and the supply of the encoder cable")
         return False
-    if found.flags & QUADRATURE_ERROR:
+    if measured.flags & QUADRATURE_ERROR:
         cause = "COUNTS ARE LOST: illegal encoder transitions: check the shield, supply and length of the encoder cable"
     else:
         cause = (
@@ -119,11 +119,11 @@ def _slip(result: Diagnosis, found: JointMeasurements) -> bool:
     return True
 
 
-def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> None:
+def _counts(result: Diagnosis, measured: JointMeasurements, board_counts: int) -> None:
     """Counts per turn of the encoder, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
-    spacings = found.spacings_count
-    if not found.has_index:
+    spacings = measured.spacings_count
+    if not measured.has_index:
         result.notes.append(
             f"{name}: its board knows no index: counts per turn are the draft's, and the gear ratio is that times these"
         )
@@ -158,9 +158,9 @@ def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> N
         )
 
 
-def _line(result: Diagnosis, found: JointMeasurements, is_slipping: bool) -> tuple[float, float]:
+def _line(result: Diagnosis, measured: JointMeasurements, is_slipping: bool) -> tuple[float, float]:
     """Fit reading = offset + slope * nominal angle by least squares; NaN with fewer than two places."""
-    points = found.readings
+    points = measured.readings
     name = f"joint {result.drive.joint}"
     if len(points) < 2:
         result.notes.append(f"{name}: no angle was read: gear ratio, zero and limits were not checked and are the draft's")
@@ -202,23 +202,23 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
     result.figures |= {key: ratio, f"{key}_sd": sd}
     if abs(ratio / drawn - 1.0) <= max(SCALE_TOLERANCE, 3.0 * sd / ratio):
         return
-    found = f"{ratio:.2f} {what} turns per joint turn (sd {sd:.2f}), draft {drawn:g}"
+    comparison = f"{ratio:.2f} {what} turns per joint turn (sd {sd:.2f}), draft {drawn:g}"
     if abs(ratio / drawn - 1.0) < ODD_RATIO:
         result.problems.append(
-            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: such a small difference is rarely a"
+            f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {comparison}: such a small difference is rarely a"
             f" different gearbox; tighten the encoder on its shaft and run again, or correct {key} in the draft"
             " if the gearbox plate confirms it"
         )
         return
     if readings < FEWEST_READINGS:
         result.problems.append(
-            f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}; {readings} readings cannot reveal a"
+            f"joint {drive.joint}: WRONG GEAR or a misread angle: {comparison}; {readings} readings cannot reveal a"
             f" misread one; run again with end stops, or correct {key} in the draft if the gearbox plate"
             " confirms it"
         )
         return
     rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")
-    result.changes.append(f"joint {drive.joint}: WRONG GEAR: {found}: {key} = {rounded:g}; compare with the gearbox plate")
+    result.changes.append(f"joint {drive.joint}: WRONG GEAR: {comparison}: {key} = {rounded:g}; compare with the gearbox plate")
     if sd > EXACT * ratio:
         result.notes.append(
             f"joint {drive.joint}: the gear ratio is known to {sd / ratio:.1%} only: run with end stops and read the angles there"
@@ -226,14 +226,14 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
     result.drive = replace(drive, gear_ratio=rounded) if what == "motor" else replace(drive, encoder_ratio=rounded)
 
 
-def _motor(result: Diagnosis, found: JointMeasurements, motor_turns: float) -> None:
+def _motor(result: Diagnosis, measured: JointMeasurements, motor_turns: float) -> None:
     """Fit volts = R I + k w over all passes, w the motor's own speed; only a check of the data sheet's values.
 
     `motor_turns`: of the motor per turn of the joint by the draft's counts.
     """
-    if len(found.passes) < 4 or not found.has_volts:
+    if len(measured.passes) < 4 or not measured.has_volts:
         return
-    rows = [(p.current_A, p.speed_rad_s * motor_turns, p.volts) for p in found.passes]
+    rows = [(p.current_A, p.speed_rad_s * motor_turns, p.volts) for p in measured.passes]
     aa, ab, bb = (math.fsum(r[i] * r[j] for r in rows) for i, j in ((0, 0), (0, 1), (1, 1)))
     av, bv = (math.fsum(r[i] * r[2] for r in rows) for i in (0, 1))
     determinant = aa * bb - ab * ab
@@ -254,11 +254,11 @@ def _motor(result: Diagnosis, found: JointMeasurements, motor_turns: float) -> N
         )
 
 
-def _friction(result: Diagnosis, found: JointMeasurements, draft: Drive, scale: float) -> None:
+def _friction(result: Diagnosis, measured: JointMeasurements, draft: Drive, scale: float) -> None:
     """Friction from half the difference of the currents in both directions: coulomb + viscous * speed; the mean is gravity."""
     constant = result.drive.torque_constant_Nm_A * result.drive.gear_ratio
-    forth = [p for p in found.passes if p.speed_rad_s > 0.0]
-    back = [p for p in found.passes if p.speed_rad_s < 0.0]
+    forth = [p for p in measured.passes if p.speed_rad_s > 0.0]
+    back = [p for p in measured.passes if p.speed_rad_s < 0.0]
     points = [
         (0.5 * (f.speed_rad_s - b.speed_rad_s) * scale, 0.5 * (f.current_A - b.current_A) * constant)
         for f in forth
@@ -284,41 +284,41 @@ LEAST_CLEARANCE_RAD = 0.01
 SHORT_RANGE = 0.9  # of the draft's range
 
 
-def place_home(result: Diagnosis, found: JointMeasurements, offset_rad: float, scale: float) -> float:
+def place_home(result: Diagnosis, measured: JointMeasurements, offset_rad: float, scale: float) -> float:
     """Index and switch by the readings; returns the angle of the joint's first pose, from the index if it is trusted."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     home = drive.home
     if home is None:
         return offset_rad
-    if not found.edges:
-        if found.is_home_active and all(found.stops_rad):
-            state = "active" if found.is_home_active[0] else "not active"
+    if not measured.edges:
+        if measured.is_home_active and all(measured.stops_rad):
+            state = "active" if measured.is_home_active[0] else "not active"
             result.problems.append(
                 f"{name}: NO HOME SWITCH: it was {state} from one end stop to the other: check the switch, cam and"
                 " wire, or remove [drive.home]"
             )
         return offset_rad
-    above = {(direction > 0) == is_active for _, direction, is_active in found.edges}
+    above = {(direction > 0) == is_active for _, direction, is_active in measured.edges}
     if len(above) == 1 and above != {home.sense > 0.0}:
         result.problems.append(
             f"{name}: HOME SWITCH INVERTED: it is active {'above' if above == {True} else 'below'} its edge, expected"
             " on the side of index_rad: invert the switch, or set index_rad and switch_rad for the other side"
         )
         return offset_rad
-    if math.isnan(found.index_rad):
+    if math.isnan(measured.index_rad):
         result.notes.append(
             f"{name}: no index pulse was seen behind the home switch: [drive.home] was not checked and is the draft's"
         )
         return offset_rad
-    return _place_index(result, found, home, offset_rad, scale)
+    return _place_index(result, measured, home, offset_rad, scale)
 
 
-def _place_index(result: Diagnosis, found: JointMeasurements, home: Home, offset_rad: float, scale: float) -> float:
+def _place_index(result: Diagnosis, measured: JointMeasurements, home: Home, offset_rad: float, scale: float) -> float:
     name = f"joint {result.drive.joint}"
     turn_rad = result.drive.encoder_turn_rad
     index_rad = home.index_rad
     if not math.isnan(offset_rad):
-        read_rad = offset_rad + scale * found.index_rad
+        read_rad = offset_rad + scale * measured.index_rad
         result.figures["index_read_rad"] = read_rad
         if abs(read_rad - index_rad) > TURN_TOLERANCE * turn_rad:
             index_rad = round(read_rad, 4)
@@ -328,21 +328,21 @@ def _place_index(result: Diagnosis, found: JointMeasurements, home: Home, offset
                 f" index_rad = {index_rad:g}; calibration refines the zero"
             )
     forth = round(home.sense)
-    edges = [edge for edge, direction, is_active in found.edges if direction == forth and is_active]
+    edges = [edge for edge, direction, is_active in measured.edges if direction == forth and is_active]
     switch_rad = home.switch_rad + (index_rad - home.index_rad)
     if edges:
-        measured_rad = index_rad - scale * (found.index_rad - fmean(edges))
-        result.figures["index_behind_switch_rad"] = scale * (found.index_rad - fmean(edges))
+        measured_rad = index_rad - scale * (measured.index_rad - fmean(edges))
+        result.figures["index_behind_switch_rad"] = scale * (measured.index_rad - fmean(edges))
         if abs(measured_rad - switch_rad) > SWITCH_TOLERANCE * turn_rad:
             switch_rad = measured_rad
             result.changes.append(
-                f"{name}: HOME SWITCH MOVED: its index comes {scale * (found.index_rad - fmean(edges)):.4f} rad"
+                f"{name}: HOME SWITCH MOVED: its index comes {scale * (measured.index_rad - fmean(edges)):.4f} rad"
                 f" behind it, draft {home.index_rad - home.switch_rad:.4f} rad: switch_rad = {round(switch_rad, 4):g}"
             )
-        if found.has_index:
-            _warn_of_far_index(result, turn_rad, scale * (found.index_rad - fmean(edges)))
+        if measured.has_index:
+            _warn_of_far_index(result, turn_rad, scale * (measured.index_rad - fmean(edges)))
     result.drive = replace(result.drive, home=replace(home, index_rad=index_rad, switch_rad=round(switch_rad, 7)))
-    return index_rad - scale * found.index_rad
+    return index_rad - scale * measured.index_rad
 
 
 def _warn_of_far_index(result: Diagnosis, turn_rad: float, behind_rad: float) -> None:
@@ -354,34 +354,34 @@ def _warn_of_far_index(result: Diagnosis, turn_rad: float, behind_rad: float) ->
         )
 
 
-def _ends(found: JointMeasurements) -> str:
-    names = {"LIMIT SWITCHES" if has_limit else "END STOPS" for has_limit in found.has_limit}
+def _ends(measured: JointMeasurements) -> str:
+    names = {"LIMIT SWITCHES" if has_limit else "END STOPS" for has_limit in measured.has_limit}
     return " and ".join(sorted(names))
 
 
-def place_limits(result: Diagnosis, found: JointMeasurements, offset_rad: float, scale: float) -> None:
+def place_limits(result: Diagnosis, measured: JointMeasurements, offset_rad: float, scale: float) -> None:
     """Place the limits in front of the stops."""
     if math.isnan(offset_rad):
         return
     drive, name = result.drive, f"joint {result.drive.joint}"
     lower, upper = drive.joint_lower_rad, drive.joint_upper_rad
-    measured = [offset_rad + scale * fmean(stops) if stops else math.nan for stops in found.stops_rad]
-    result.figures |= {"lower_stop_rad": measured[0], "upper_stop_rad": measured[1]}
-    if not math.isnan(measured[0]) and lower < measured[0] + LEAST_CLEARANCE_RAD:
-        lower = round(measured[0] + STOP_CLEARANCE_RAD, 3)
-    if not math.isnan(measured[1]) and upper > measured[1] - LEAST_CLEARANCE_RAD:
-        upper = round(measured[1] - STOP_CLEARANCE_RAD, 3)
+    ends_rad = [offset_rad + scale * fmean(stops) if stops else math.nan for stops in measured.stops_rad]
+    result.figures |= {"lower_stop_rad": ends_rad[0], "upper_stop_rad": ends_rad[1]}
+    if not math.isnan(ends_rad[0]) and lower < ends_rad[0] + LEAST_CLEARANCE_RAD:
+        lower = round(ends_rad[0] + STOP_CLEARANCE_RAD, 3)
+    if not math.isnan(ends_rad[1]) and upper > ends_rad[1] - LEAST_CLEARANCE_RAD:
+        upper = round(ends_rad[1] - STOP_CLEARANCE_RAD, 3)
     if (lower, upper) == (drive.joint_lower_rad, drive.joint_upper_rad):
         return
-    stops = " and ".join(f"{math.degrees(stop):.1f} deg" for stop in measured if not math.isnan(stop))
+    stops = " and ".join(f"{math.degrees(stop):.1f} deg" for stop in ends_rad if not math.isnan(stop))
     if not lower < upper:
         result.problems.append(
-            f"{name}: {_ends(found)} at {stops} leave no range: it did not come from one to the other: free the joint and run"
+            f"{name}: {_ends(measured)} at {stops} leave no range: it did not come from one to the other: free the joint and run"
             " again"
         )
         return
     result.changes.append(
-        f"{name}: {_ends(found)} are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (draft"
+        f"{name}: {_ends(measured)} are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (draft"
         f" {drive.joint_lower_rad:g} and {drive.joint_upper_rad:g})"
     )
     if math.isfinite(drive.joint_upper_rad - drive.joint_lower_rad) and upper - lower < SHORT_RANGE * (

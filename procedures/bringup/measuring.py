@@ -174,8 +174,8 @@ class JointDriver:
 
         Fewer than requested if the joint moves `longest_rad` without one, or stalls.
         """
-        found: list[int] = []
-        while len(found) < wanted:
+        latched: list[int] = []
+        while len(latched) < wanted:
             self.bench.observe(0.02)
             self.bench.arm_index(self.channel)
             run = self.turn(
@@ -184,8 +184,8 @@ class JointDriver:
             latch = self.bench.index_latch(self.channel)
             if run.end is not MotionEnd.SEEN or latch is None:
                 break
-            found.append(latch)
-        return found
+            latched.append(latch)
+        return latched
 
 
 def has_stalled(rows: Sequence[tuple[float, float, float, float, float]], speed_rad_s: float) -> bool:
@@ -268,27 +268,27 @@ class JointMeasurements:
 def measure(driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool) -> JointMeasurements:
     """Take all measurements. Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off."""
     bench, joint = driver.bench, driver.wiring.joint
-    found = JointMeasurements(has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s))
+    measured = JointMeasurements(has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s))
     operator.support(joint, are_held=not bench.has_volts)
     driver.bench.observe(SUPPORT_S)
     try:
-        _known_angle(driver, operator, joint, found, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)
+        _known_angle(driver, operator, joint, measured, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)
         _allow(
             operator,
             joint,
-            f"{'makes a few motor turns to find the index, then ' * found.has_index}moves back and forth to measure friction",
+            f"{'makes a few motor turns to find the index, then ' * measured.has_index}moves back and forth to measure friction",
             0.5,
         )
-        if found.has_index:
-            measure_index_spacing(driver, found)
-        _friction(driver, found)
+        if measured.has_index:
+            measure_index_spacing(driver, measured)
+        _friction(driver, measured)
         if with_stops:
             ends = "end stops" if driver.drive.limit_switches is None else "ends, until a limit switch or a stop"
             _allow(operator, joint, f"creeps to both {ends}; its whole range must be clear", None)
-            _stops(driver, operator, joint, found, speed_rad_s)
+            _stops(driver, operator, joint, measured, speed_rad_s)
     finally:
         operator.let_go()
-    return found
+    return measured
 
 
 def _allow(operator: BringupOperator, joint: int, what: str, travel_rad: float | None) -> None:
@@ -297,30 +297,30 @@ def _allow(operator: BringupOperator, joint: int, what: str, travel_rad: float |
         raise Stopped(f"the operator did not confirm the motion of joint {joint}")
 
 
-def _known_angle(driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, angle_rad: float) -> None:
+def _known_angle(driver: JointDriver, operator: BringupOperator, joint: int, measured: JointMeasurements, by_rad: float) -> None:
     """Read, turn by the draft's scale, read again: this reveals a wrong scale before a long motion."""
-    _read(driver, operator, joint, found)
-    _allow(operator, joint, "turns in its supposed positive direction", angle_rad)
+    _read(driver, operator, joint, measured)
+    _allow(operator, joint, "turns in its supposed positive direction", by_rad)
     start_rad = driver.where_rad()
-    if abs(_turned(driver, found, angle_rad)) < 0.8 * angle_rad:
-        _turned(driver, found, -2.0 * angle_rad)  # there was an obstacle
-    _read(driver, operator, joint, found)
-    if _is_odd(found):
-        _turned(driver, found, 0.5 * (start_rad - driver.where_rad()))
-        _read(driver, operator, joint, found)
-    _turned(driver, found, start_rad - driver.where_rad())
-    _take_scale(driver, found)
+    if abs(_turned(driver, measured, by_rad)) < 0.8 * by_rad:
+        _turned(driver, measured, -2.0 * by_rad)  # there was an obstacle
+    _read(driver, operator, joint, measured)
+    if _is_odd(measured):
+        _turned(driver, measured, 0.5 * (start_rad - driver.where_rad()))
+        _read(driver, operator, joint, measured)
+    _turned(driver, measured, start_rad - driver.where_rad())
+    _take_scale(driver, measured)
 
 
-def _turned(driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float = 0.2) -> float:
+def _turned(driver: JointDriver, measured: JointMeasurements, distance_rad: float, speed_rad_s: float = 0.2) -> float:
     run = driver.turn(distance_rad, speed_rad_s)
-    _note_flags(run, found)
+    _note_flags(run, measured)
     return run.travelled_rad
 
 
-def _note_flags(run: DrivenMotion, found: JointMeasurements) -> None:
+def _note_flags(run: DrivenMotion, measured: JointMeasurements) -> None:
     for flags in run.flags:
-        found.flags |= flags & (QUADRATURE_ERROR | SIGNAL_LOST)
+        measured.flags |= flags & (QUADRATURE_ERROR | SIGNAL_LOST)
 
 
 def has_two_indices(drive: Drive) -> bool:
@@ -329,7 +329,7 @@ def has_two_indices(drive: Drive) -> bool:
     return drive.encoder_on == "motor" or range_rad > INDEX_TURNS * drive.encoder_turn_rad
 
 
-def measure_index_spacing(driver: JointDriver, found: JointMeasurements) -> None:
+def measure_index_spacing(driver: JointDriver, measured: JointMeasurements) -> None:
     """Index pulses in the positive direction, or in the negative one if the joint is blocked."""
     if not has_two_indices(driver.drive):
         return
@@ -339,26 +339,26 @@ def measure_index_spacing(driver: JointDriver, found: JointMeasurements) -> None
         latches = driver.latches(LATCHES, direction, INDEX_SPEED_rad_s, longest_rad)
         # A joint that sinks while its index is armed passes the same pulse again.
         spacings = [abs(b - a) for a, b in pairwise(latches) if abs(b - a) > SAME_PULSE_counts]
-        if len(spacings) > len(found.spacings_count):
-            found.spacings_count = spacings
+        if len(spacings) > len(measured.spacings_count):
+            measured.spacings_count = spacings
         if len(spacings) >= 2:
             break
     driver.go_to(start_rad, 0.2)
 
 
-def _friction(driver: JointDriver, found: JointMeasurements) -> None:
+def _friction(driver: JointDriver, measured: JointMeasurements) -> None:
     """Constant-speed passes over the same place in both directions, so that gravity is the same."""
     for speed_rad_s in PASS_SPEEDS_rad_s:
         length_rad = max(PASS_RAD, PASS_S * speed_rad_s)
         for direction in (1.0, -1.0):
             run = driver.turn(direction * length_rad, speed_rad_s)
-            _note_flags(run, found)
+            _note_flags(run, measured)
             if run.end is not MotionEnd.REACHED:
-                found.stalled_early = True
+                measured.stalled_early = True
                 continue
             steady = _steady(run, driver.scale)
             if steady is not None:
-                found.passes.append(steady)
+                measured.passes.append(steady)
 
 
 def _steady(run: DrivenMotion, scale: float) -> SteadyPass | None:
@@ -374,57 +374,57 @@ def _steady(run: DrivenMotion, scale: float) -> SteadyPass | None:
     return SteadyPass(speed / scale, fmean(row[3] for row in rows), fmean(row[4] for row in rows))
 
 
-def _read(driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements) -> None:
+def _read(driver: JointDriver, operator: BringupOperator, joint: int, measured: JointMeasurements) -> None:
     where_rad = driver.where_rad() / driver.scale
     reading_rad = operator.angle_rad(joint)
     if reading_rad is not None:
-        found.readings.append((where_rad, reading_rad))
+        measured.readings.append((where_rad, reading_rad))
 
 
-def _is_odd(found: JointMeasurements) -> bool:
+def _is_odd(measured: JointMeasurements) -> bool:
     """Whether two readings give another scale than the draft; then a third reading reveals a misread one."""
-    if len(found.readings) < 2:
+    if len(measured.readings) < 2:
         return False
-    (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
+    (x0, q0), (x1, q1) = measured.readings[0], measured.readings[-1]
     return abs(q1 - q0 - (x1 - x0)) > ODD_RATIO * abs(x1 - x0)
 
 
-def _take_scale(driver: JointDriver, found: JointMeasurements) -> None:
+def _take_scale(driver: JointDriver, measured: JointMeasurements) -> None:
     """Use the measured scale: with a wrong scale the joint must not be driven over its whole range."""
-    if len(found.readings) >= 2:
-        (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
+    if len(measured.readings) >= 2:
+        (x0, q0), (x1, q1) = measured.readings[0], measured.readings[-1]
         if abs(x1 - x0) > 0.1 and abs(q1 - q0) > 0.02:
             driver.scale = abs((q1 - q0) / (x1 - x0))
 
 
-def _stops(driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, speed_rad_s: float) -> None:
+def _stops(driver: JointDriver, operator: BringupOperator, joint: int, measured: JointMeasurements, speed_rad_s: float) -> None:
     start_rad = driver.where_rad()
     drive = driver.drive
     range_rad = drive.joint_upper_rad - drive.joint_lower_rad
     longest_rad = 1.3 * range_rad + 0.3 if math.isfinite(range_rad) else 2.2 * math.pi
     for at, direction in enumerate((-1.0, 1.0)):
-        run = _creep(driver, found, direction * longest_rad, speed_rad_s)
+        run = _creep(driver, measured, direction * longest_rad, speed_rad_s)
         if run.end is MotionEnd.LIMIT:  # once: its level is looked at now and then, so touches differ
-            found.has_limit[at] = True
-            found.stops_rad[at].append(run.rows[-1][1] / driver.scale)
-            _creep(driver, found, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
-            _read(driver, operator, joint, found)
+            measured.has_limit[at] = True
+            measured.stops_rad[at].append(run.rows[-1][1] / driver.scale)
+            _creep(driver, measured, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
+            _read(driver, operator, joint, measured)
         if run.end is MotionEnd.STALLED:
-            found.stops_rad[at].append(driver.where_rad() / driver.scale)
+            measured.stops_rad[at].append(driver.where_rad() / driver.scale)
             for _ in range(TOUCHES - 1):
-                _creep(driver, found, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
-                again = _creep(driver, found, 2.0 * direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
+                _creep(driver, measured, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
+                again = _creep(driver, measured, 2.0 * direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
                 if again.end is MotionEnd.STALLED:
-                    found.stops_rad[at].append(driver.where_rad() / driver.scale)
-            _creep(driver, found, -direction * 0.02, TOUCH_SPEED_rad_s)  # the joint is read free of the stop
-            _read(driver, operator, joint, found)
+                    measured.stops_rad[at].append(driver.where_rad() / driver.scale)
+            _creep(driver, measured, -direction * 0.02, TOUCH_SPEED_rad_s)  # the joint is read free of the stop
+            _read(driver, operator, joint, measured)
     # Once more over the whole range: this reveals a small slip per turn.
-    if all(found.stops_rad) and _creep(driver, found, -longest_rad, speed_rad_s).end is MotionEnd.STALLED:
-        found.stops_rad[0].append(driver.where_rad() / driver.scale)
-    _creep(driver, found, start_rad - driver.where_rad(), speed_rad_s)
+    if all(measured.stops_rad) and _creep(driver, measured, -longest_rad, speed_rad_s).end is MotionEnd.STALLED:
+        measured.stops_rad[0].append(driver.where_rad() / driver.scale)
+    _creep(driver, measured, start_rad - driver.where_rad(), speed_rad_s)
 
 
-def _creep(driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float) -> DrivenMotion:
+def _creep(driver: JointDriver, measured: JointMeasurements, distance_rad: float, speed_rad_s: float) -> DrivenMotion:
     """A slow motion that records the home switch and, in the search direction, the index behind it.
 
     The joint stops at the switch, because arming the index requires an answer of the board.
@@ -432,29 +432,29 @@ def _creep(driver: JointDriver, found: JointMeasurements, distance_rad: float, s
     direction = 1 if distance_rad > 0.0 else -1
     left_rad = abs(distance_rad)
     while True:
-        run = driver.turn(direction * left_rad, speed_rad_s, _switch_changes(found, direction))
-        _note_flags(run, found)
+        run = driver.turn(direction * left_rad, speed_rad_s, _switch_changes(measured, direction))
+        _note_flags(run, measured)
         left_rad -= abs(run.travelled_rad)
         if run.end is not MotionEnd.SEEN:
             return run
         edge_rad = _edge(run) / driver.scale
         is_active = bool(run.flags[-1] & HOME_SWITCH)
-        found.edges.append((edge_rad, direction, is_active))
+        measured.edges.append((edge_rad, direction, is_active))
         home = driver.drive.home
         forth = 1 if home is None else round(home.sense)
-        if not found.has_index and is_active and direction == forth:
-            found.index_rad = edge_rad
-        elif is_active and direction == forth and math.isnan(found.index_rad):
-            left_rad -= _index_behind(driver, found, direction)
+        if not measured.has_index and is_active and direction == forth:
+            measured.index_rad = edge_rad
+        elif is_active and direction == forth and math.isnan(measured.index_rad):
+            left_rad -= _index_behind(driver, measured, direction)
         if left_rad <= 0.0:
             return run
 
 
-def _switch_changes(found: JointMeasurements, direction: int) -> Callable[[DrivenMotion, object], bool]:
+def _switch_changes(measured: JointMeasurements, direction: int) -> Callable[[DrivenMotion, object], bool]:
     def has_changed(run: DrivenMotion, sample: object) -> bool:
         is_active = bool(run.flags[-1] & HOME_SWITCH)
-        if not found.is_home_active or is_active not in found.is_home_active:
-            found.is_home_active.append(is_active)
+        if not measured.is_home_active or is_active not in measured.is_home_active:
+            measured.is_home_active.append(is_active)
         return len(run.flags) > 1 and bool(run.flags[-2] & HOME_SWITCH) != is_active
 
     return has_changed
@@ -465,7 +465,7 @@ def _edge(run: DrivenMotion) -> float:
     return 0.5 * (run.rows[-1][1] + run.rows[-2][1])
 
 
-def _index_behind(driver: JointDriver, found: JointMeasurements, direction: int) -> float:
+def _index_behind(driver: JointDriver, measured: JointMeasurements, direction: int) -> float:
     """Find the first index pulse after the switch; return the distance.
 
     A joint that sinks while the index is armed passes it: the pulses lie whole turns of the encoder apart.
@@ -475,10 +475,10 @@ def _index_behind(driver: JointDriver, found: JointMeasurements, direction: int)
     way_rad = drive.joint_upper_rad - drive.joint_lower_rad if is_alone else 2.2 * drive.encoder_turn_rad
     latches = driver.latches(1, direction, INDEX_SPEED_rad_s, way_rad * max(1.0, driver.scale))
     if latches and is_alone:
-        found.index_rad = driver.angle_rad(latches[0]) / driver.scale
-    elif latches and found.spacings_count:
-        edge_rad, _, _ = found.edges[-1]
+        measured.index_rad = driver.angle_rad(latches[0]) / driver.scale
+    elif latches and measured.spacings_count:
+        edge_rad, _, _ = measured.edges[-1]
         behind_rad = direction * (driver.angle_rad(latches[0]) / driver.scale - edge_rad)
-        turn_rad = median(found.spacings_count) * driver.radians_per_count / driver.scale
-        found.index_rad = edge_rad + direction * (behind_rad % turn_rad)
+        turn_rad = median(measured.spacings_count) * driver.radians_per_count / driver.scale
+        measured.index_rad = edge_rad + direction * (behind_rad % turn_rad)
     return abs(driver.where_rad() - before_rad)

@@ -62,12 +62,12 @@ class Journal:
         self._content["pulses"] = [pulse.as_json() for pulse in pulses]
         self._save()
 
-    def note_joint(self, joint: int, wiring: MeasuredWiring, found: JointMeasurements, result: Diagnosis) -> None:
+    def note_joint(self, joint: int, wiring: MeasuredWiring, measured: JointMeasurements, result: Diagnosis) -> None:
         """Record one joint; it counts as done if there are no problems."""
         self._content["joints"][str(joint)] = {
             "passed": not result.problems,
             "wiring": asdict(wiring),
-            "measured": asdict(found),
+            "measured": asdict(measured),
             "figures": result.figures,
             "changes": result.changes,
             "notes": result.notes,
@@ -216,16 +216,16 @@ def measure_joint(
     most = f", at most {driver.caution.current_A:.2f} A" if bench.limits_current else ""
     operator.say(f"Joint {wiring.joint}{most}.")
     try:
-        found = measure(driver, operator, options.speed_rad_s, options.with_stops)
+        measured = measure(driver, operator, options.speed_rad_s, options.with_stops)
     except SafetyTrip as trip:
         outcome.problems.append(f"joint {wiring.joint}: {trip}")
         _say_all(operator, [outcome.problems[-1]], ())
         return
     board_counts = bench.counts_per_turn(wiring.channel) or drive.encoder_counts_per_rev
-    result = diagnose(drive, wiring, found, board_counts)
+    result = diagnose(drive, wiring, measured, board_counts)
     outcome.diagnoses[wiring.joint] = result
     outcome.problems += result.problems
-    journal.note_joint(wiring.joint, wiring, found, result)
+    journal.note_joint(wiring.joint, wiring, measured, result)
     _say_all(operator, result.problems, result.changes + result.notes)
 
 

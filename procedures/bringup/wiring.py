@@ -209,19 +209,19 @@ class WiringFound:
 
 def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
     """Combine the pulses of all motor boards."""
-    found = WiringFound()
+    result = WiringFound()
     draft = {node_of(drive): drive for drive in drives}
     for pulse in pulses:
         drive = draft[pulse.node]
         problem = _problem_of(pulse, drive)
         if problem:
-            found.problems.append(problem)
+            result.problems.append(problem)
             continue
-        _take(found, pulse, drive)
-    _same_channel(found)
-    for joint in found.joints.values():
-        found.notes += _changes(joint, drives[joint.joint - 1])
-    return found
+        _take(result, pulse, drive)
+    _same_channel(result)
+    for joint in result.joints.values():
+        result.notes += _changes(joint, drives[joint.joint - 1])
+    return result
 
 
 def _problem_of(pulse: Pulse, drive: Drive) -> str:
@@ -265,33 +265,33 @@ def _problem_of(pulse: Pulse, drive: Drive) -> str:
     )
 
 
-def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
+def _take(result: WiringFound, pulse: Pulse, drive: Drive) -> None:
     if pulse.channel is None:
         return
     if drive.board and pulse.channel != channel_of(drive):
-        found.problems.append(
+        result.problems.append(
             f"{named(drive)} moved joint {pulse.joint}, but the encoder of joint {pulse.channel[1] + 1} in the draft counted:"
             " SWAPPED ENCODER: swap the encoders' plugs"
         )
         return
-    if pulse.joint in found.joints:
-        found.problems.append(
-            f"motor boards {found.joints[pulse.joint].node} and {pulse.node} both moved joint {pulse.joint}: two"
+    if pulse.joint in result.joints:
+        result.problems.append(
+            f"motor boards {result.joints[pulse.joint].node} and {pulse.node} both moved joint {pulse.joint}: two"
             " motors are wired in parallel, or an answer was wrong; check and run again"
         )
         return
     if pulse.others:
         others = ", ".join(_named(at) for at in pulse.others)
-        found.notes.append(
+        result.notes.append(
             f"joint {pulse.joint}: channel {others} moved with it: a belt couples the joints (effect belt_coupling),"
             " or a joint is not supported"
         )
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
     holds = drive.board_holds if drive.board else _can_board_hold(pulse)
-    found.joints[pulse.joint] = MeasuredWiring(
+    result.joints[pulse.joint] = MeasuredWiring(
         pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, holds, drive.board, drive.board_channel
     )
-    _compare_motor_board(found, pulse, drive)
+    _compare_motor_board(result, pulse, drive)
 
 
 def _can_board_hold(pulse: Pulse) -> bool:
@@ -300,7 +300,7 @@ def _can_board_hold(pulse: Pulse) -> bool:
     return counted > 10 and math.isclose(counted, moved, rel_tol=SAME_COUNT, abs_tol=50)
 
 
-def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
+def _compare_motor_board(result: WiringFound, pulse: Pulse, drive: Drive) -> None:
     """The motor board's own counter of the same encoder: needed in position mode, and to hold when the loop is gone."""
     counted = pulse.motor_board_count
     name = f"joint {pulse.joint}: {named(drive)}"
@@ -310,64 +310,64 @@ def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None
             f"{name}: REVERSED MOTOR: the board's own encoder counts down with positive voltage, so its position"
             " control would run away: swap the motor's two leads (or A and B of its encoder)"
         )
-        (found.problems if is_position else found.notes).append(
+        (result.problems if is_position else result.notes).append(
             text if is_position else f'{text} before you use [drive.pid] mode = "position"'
         )
     elif abs(counted) <= 10:
         text = f"{name}: the board's own encoder input counts nothing"
         if is_position:
-            found.problems.append(f"{text}: connect it, or choose another [drive.pid] mode")
+            result.problems.append(f"{text}: connect it, or choose another [drive.pid] mode")
         else:
-            found.notes.append(f"{text}; without it the board brakes when the loop is gone, and cannot hold")
+            result.notes.append(f"{text}; without it the board brakes when the loop is gone, and cannot hold")
     elif not math.isclose(abs(counted), abs(pulse.moved_count), rel_tol=SAME_COUNT, abs_tol=50):
-        found.notes.append(
+        result.notes.append(
             f"{name}: the board's own encoder counted {counted:+d}, the encoder board {pulse.moved_count:+d}: check"
             " that both read the same encoder"
         )
 
 
-def _same_channel(found: WiringFound) -> None:
+def _same_channel(result: WiringFound) -> None:
     """Two joints cannot share one channel."""
     seen: dict[Channel, int] = {}
-    for joint, wiring in sorted(found.joints.items()):
+    for joint, wiring in sorted(result.joints.items()):
         if wiring.channel in seen:
-            found.problems.append(
+            result.problems.append(
                 f"joints {seen[wiring.channel]} and {joint} both made channel {_named(wiring.channel)} count: an"
                 " answer was probably wrong; run again"
             )
         seen[wiring.channel] = joint
 
 
-def _changes(found: MeasuredWiring, drive: Drive) -> list[str]:
+def _changes(wiring: MeasuredWiring, drive: Drive) -> list[str]:
     """Differences of the wiring from the draft; each is corrected in the new file."""
     changes = []
-    name = f"joint {found.joint}"
-    if found.board and found.node != node_of(drive):
+    name = f"joint {wiring.joint}"
+    if wiring.board and wiring.node != node_of(drive):
         changes.append(
-            f'{name}: SWAPPED MOTOR: board "{found.board}" (output {found.board_channel}) moves it, draft {named(drive)}:'
+            f'{name}: SWAPPED MOTOR: board "{wiring.board}" (output {wiring.board_channel}) moves it, draft {named(drive)}:'
             " board and board_channel corrected"
         )
-    elif found.node != node_of(drive):
+    elif wiring.node != node_of(drive):
         changes.append(
-            f"{name}: SWAPPED MOTOR: motor board {found.node} moves it, draft {drive.motor_node}: motor_node corrected"
+            f"{name}: SWAPPED MOTOR: motor board {wiring.node} moves it, draft {drive.motor_node}: motor_node corrected"
         )
-    if not found.board and found.channel != channel_of(drive):
+    if not wiring.board and wiring.channel != channel_of(drive):
         draft = _named((drive.encoder_board, drive.encoder_channel))
         changes.append(
-            f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, draft {draft}: encoder_channel corrected"
+            f"{name}: SWAPPED ENCODER: channel {_named(wiring.channel)} counts it, draft {draft}: encoder_channel corrected"
         )
-    if found.motor_direction != drive.motor_direction:
+    if wiring.motor_direction != drive.motor_direction:
         changes.append(
-            f"{name}: REVERSED MOTOR: positive voltage turns it in the {_way(found.motor_direction)} direction:"
-            f" motor_direction = {found.motor_direction}"
+            f"{name}: REVERSED MOTOR: positive voltage turns it in the {_way(wiring.motor_direction)} direction:"
+            f" motor_direction = {wiring.motor_direction}"
         )
-    if found.board_holds != drive.board_holds:
-        able = "can hold the joint by its own encoder" if found.board_holds else "cannot hold the joint and will brake"
-        changes.append(f"{name}: without the loop its motor board {able}: board_holds = {str(found.board_holds).lower()}")
-    if found.encoder_direction != drive.encoder_direction:
+    if wiring.board_holds != drive.board_holds:
+        able = "can hold the joint by its own encoder" if wiring.board_holds else "cannot hold the joint and will brake"
+        changes.append(f"{name}: without the loop its motor board {able}: board_holds = {str(wiring.board_holds).lower()}")
+    if wiring.encoder_direction != drive.encoder_direction:
         changes.append(
-            f"{name}: REVERSED ENCODER: it counts {'up' if found.encoder_direction > 0 else 'down'} in the joint's positive"
-            f" direction: encoder_direction = {found.encoder_direction}"
+            f"{name}: REVERSED ENCODER: it counts {'up' if wiring.encoder_direction > 0 else 'down'} in the joint's positive"
+            f" direction: encoder_direction = {wiring.encoder_direction}"
         )
     return changes
 

@@ -311,12 +311,12 @@ def limits_of(drive: Drive, levels: Mapping[str, bool | None], own_flags: int = 
     """LOWER_LIMIT and UPPER_LIMIT where a joint's switches are active; a board that does not say counts as an active one."""
     if (switches := drive.limit_switches) is None:
         return 0
-    found = 0
+    flags = 0
     for pin, flag in ((switches.lower, LOWER_LIMIT), (switches.upper, UPPER_LIMIT)):
         level = bool(own_flags & flag) if pin == OWN_INPUT else levels.get(pin)
         if pin and (level is None or level is (switches.active == "high")):
-            found |= flag
-    return found
+            flags |= flag
+    return flags
 
 
 def node_of(drive: Drive) -> int:

@@ -243,9 +243,9 @@ def _recorded(
     return recordings, outcome
 
 
-def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
+def named_in(finding: GapFinding) -> tuple[NamedEffect, ...]:
     """The effects that a finding names, without geometry."""
-    return tuple(one for one in found.effects if one.name.effect not in NO_NAMES)
+    return tuple(one for one in finding.effects if one.name.effect not in NO_NAMES)
 
 
 def programme_of(arm: Arm) -> Programme:
@@ -255,17 +255,17 @@ def programme_of(arm: Arm) -> Programme:
     poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
     tips = ForwardKinematics(arm).tips(poses)
     model = Model(arm)
-    found: list[Place] = []
+    places: list[Place] = []
     for pose, tip in zip(poses, tips.tolist(), strict=True):
-        if len(found) == PLACES:
+        if len(places) == PLACES:
             break
         try:
             solved = np.array(model.inverse.nearest(tuple(tip), pose))
         except ArmError:
             continue
         if np.abs(solved - pose).max() < 1e-3 and np.hypot(tip[0], tip[1]) > FROM_AXIS_m:
-            found.append(Place("free", f"v{len(found) + 1}", (tip[0], tip[1], tip[2]), tuple(pose.tolist())))
-    return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
+            places.append(Place("free", f"v{len(places) + 1}", (tip[0], tip[1], tip[2]), tuple(pose.tolist())))
+    return Programme(tuple(places), ways(tables.table_of(arm), ("normal",)))
 
 
 def _driven(survey: Survey, runtime: Model, client: ArmClient, speed: float, out: Path) -> DrivenSurvey:
@@ -287,10 +287,10 @@ def _following_rad(recording: Path, survey: Survey) -> float:
 
 def _newest(out: Path) -> Path:
     """The recording in progress."""
-    found: Sequence[Path] = sorted((out / "log").glob("*.armlog"), key=lambda path: path.stat().st_mtime_ns)
-    if not found:
+    recordings: Sequence[Path] = sorted((out / "log").glob("*.armlog"), key=lambda path: path.stat().st_mtime_ns)
+    if not recordings:
         raise ArmError(f"{out / 'log'}: the runtime writes no recording")
-    return found[-1]
+    return recordings[-1]
 
 
 def findings(circle: Circle) -> tuple[str, ...]:
@@ -301,11 +301,11 @@ def findings(circle: Circle) -> tuple[str, ...]:
         1e3 * summary.mean_m for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
     )
     before = 1e3 * circle.corrected.of("all").before.mean_m
-    found = circle.outcome.finding
-    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not measured"
+    finding = circle.outcome.finding
+    gap_after = f"{finding.gap_after:.2f}" if math.isfinite(finding.gap_after) else "not measured"
     notes = [
         f"Named by the run: {named}. Hidden: {circle.hidden}. The result is {right}.",
-        f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
+        f"The gap on {finding.judged_on}: {finding.gap_before:.2f} times the noise before, {gap_after} after.",
         f"Mean tip error at {len(circle.corrected.point)} held-out places: {before:.2f} mm with the nominal model,"
         f" {alone:.2f} mm with identified geometry and the correction off, {after:.2f} mm with the correction on.",
     ]

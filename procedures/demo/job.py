@@ -113,17 +113,17 @@ def _calibrate(arm: Arm, table: Table, out: Path) -> DemoCalibration:
     """Identify, and write the calibrated arm."""
     recorded, _ = read_points(out / "points.csv", arm.joint_count)
     points = with_reference_tips(recorded, lambda setup: tables.cavities(table, setup))
-    found = identify(problem_of(arm, points))
+    identification = identify(problem_of(arm, points))
     made = made_today(input_file(out / "points.csv", "tip seated in the cavities, encoders averaged"))
     file = out / "arm_calibrated.toml"
-    return DemoCalibration(write_calibrated_arm(file, arm, found, made), file, points, found, made)
+    return DemoCalibration(write_calibrated_arm(file, arm, identification, made), file, points, identification, made)
 
 
 def _report(arm: Arm, made: DemoCalibration, verification: Comparison, paths: tuple[TrackPair, ...], out: Path) -> JobOutcome:
     """Write calibration.json and report.html."""
-    points, found = made.points, made.found
-    calibration = compare(points.setup, points.point, points.tip_m, found.error_before_m, found.error_after_m)
-    write_calibration_json(out / "calibration.json", arm.name, found, made.made, verification)
+    points, identification = made.points, made.found
+    calibration = compare(points.setup, points.point, points.tip_m, identification.error_before_m, identification.error_after_m)
+    write_calibration_json(out / "calibration.json", arm.name, identification, made.made, verification)
     report = out / "report.html"
     write_report(
         report,
@@ -133,13 +133,13 @@ def _report(arm: Arm, made: DemoCalibration, verification: Comparison, paths: tu
             made=made.made,
             steps=_steps(len(points), len(verification.point)),
             paths=paths,
-            identification=found,
+            identification=identification,
             calibration=calibration,
             verification=verification,
             notes=_notes(verification),
         ),
     )
-    return JobOutcome(verification, calibration, found, paths, report, made.file)
+    return JobOutcome(verification, calibration, identification, paths, report, made.file)
 
 
 def _session(arm: Arm, bench: MockBench, client: ArmClient, out: Path) -> Iterator[tuple[float, str]]:

@@ -46,13 +46,13 @@ Goal = tuple[str, str, Vector3]  # setup, point, tip in the base frame
 
 def verification_targets(table: Table) -> tuple[Goal, ...]:
     """Between the cavities and above each tilt of the board; none of them is a calibration point."""
-    found = []
+    targets = []
     for setup in SETUPS:
         for number in range(POINTS):
             angle = 2.0 * np.pi * (number + 0.5) / POINTS
             place = (RADIUS_m * float(np.cos(angle)), RADIUS_m * float(np.sin(angle)), HEIGHT_m)
-            found.append((setup, f"v{number + 1}", tables.to_base(table, setup, place)))
-    return tuple(found)
+            targets.append((setup, f"v{number + 1}", tables.to_base(table, setup, place)))
+    return tuple(targets)
 
 
 def other_trajectory(table: Table) -> tuple[Goal, ...]:
@@ -78,12 +78,12 @@ def free_poses(arm: Arm, seed: int = 0) -> Array:
     scale = np.maximum(TURNING * np.abs(gravity).max(axis=0), 1e-6)
     turning = np.clip(gravity / scale, -1.0, 1.0)
     features = np.hstack(((q - middle) / half, turning))
-    taken = [int(np.argmin(np.linalg.norm(features, axis=1)))]
+    chosen = [int(np.argmin(np.linalg.norm(features, axis=1)))]
     distance = np.full(len(q), np.inf)
-    while len(taken) < FREE_COUNT:
-        distance = np.minimum(distance, np.linalg.norm(features - features[taken[-1]], axis=1))
-        taken.append(int(np.argmax(distance)))
-    return np.asarray(q[taken])
+    while len(chosen) < FREE_COUNT:
+        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return np.asarray(q[chosen])
 
 
 APPROACH_rad: Final = 0.06  # last approach of every joint: several times the backlash
@@ -184,9 +184,9 @@ def _identified(arm: Arm, points: Points, rows: Sequence[int], name: str, what: 
     """Identify by the sum of distances within 5 mm and 2 degrees, as in the paper."""
     used = points.chosen(rows)
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)] if has_backlash else []
-    found = identify(problem_of(arm, used, Choice(effects=tuple(wanted))))
-    notes = (*unclear_flanks(arm, used, wanted), *unphysical(found.solution.corrections))
-    return PaperModel(name, what, calibrated_arm(arm, found), len(used), found, (*found.in_words(), *notes))
+    identification = identify(problem_of(arm, used, Choice(effects=tuple(wanted))))
+    notes = (*identification.in_words(), *unclear_flanks(arm, used, wanted), *unphysical(identification.solution.corrections))
+    return PaperModel(name, what, calibrated_arm(arm, identification), len(used), identification, notes)
 
 
 def table_says(arm: Arm, points: Points) -> tuple[str, ...]:

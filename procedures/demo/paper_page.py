@@ -122,11 +122,11 @@ def table_rows(replay: PaperReplay) -> list[tuple[str, ...]]:
     before = [replay.of(names[0], place) for place in PLACES]
     rows.append(("not calibrated [mm]", "", *(f"{1e3 * b.before_m:.2f} ± {1e3 * b.before_half_m:.2f}" for b in before)))
     for model in replay.models:
-        each = [replay.of(model.name, place) for place in PLACES]
-        rows.append((f"{model.name} [mm]", str(model.points_count), *map(_after_mm, each)))
-        rows.append(("  improved", "", *map(_percent, each)))
-    own = (f"{IMPROVED_percent[place]:.1f} %" for place in SETUPS)
-    rows.append(("published, own tilt", "33", *own, "32.1 to 53.0 %, pitch none"))
+        by_place = [replay.of(model.name, place) for place in PLACES]
+        rows.append((f"{model.name} [mm]", str(model.points_count), *map(_after_mm, by_place)))
+        rows.append(("  improved", "", *map(_percent, by_place)))
+    published = (f"{IMPROVED_percent[place]:.1f} %" for place in SETUPS)
+    rows.append(("published, own tilt", "33", *published, "32.1 to 53.0 %, pitch none"))
     return rows
 
 
@@ -156,13 +156,13 @@ def document(replay: PaperReplay) -> dict[str, object]:
 
 
 def _model(replay: PaperReplay, model: PaperModel) -> dict[str, object]:
-    found = model.found
+    identification = model.found
     return {
         "what": model.what,
         "points": model.points_count,
-        "mean_error_at_its_points_m": {"before": found.mean_before_m, "after": found.mean_after_m},
-        "parameters": {e.parameter.name: {"deviation": e.deviation, "unit": e.parameter.unit} for e in found.estimates},
-        "at_bound": found.binding,
+        "mean_error_at_its_points_m": {"before": identification.mean_before_m, "after": identification.mean_after_m},
+        "parameters": {e.parameter.name: {"deviation": e.deviation, "unit": e.parameter.unit} for e in identification.estimates},
+        "at_bound": identification.binding,
         "effects": [entries(effect, "effect", "joint", "parameters") for effect in model.backlash],
         "verified": {
             place: entries(entry, "count", "before_m", "before_half_m", "after_m", "after_half_m")
@@ -224,13 +224,13 @@ def paper_page(replay: PaperReplay, arm: str, made: Provenance) -> str:
 
 def findings(replay: PaperReplay) -> tuple[str, ...]:
     """The results as sentences."""
-    own = [f"{entry.percent:.1f} % ({s}; paper {theirs:.1f} %)" for s, entry, theirs in own_tilt(replay)]
+    reductions = [f"{entry.percent:.1f} % ({s}; paper {theirs:.1f} %)" for s, entry, theirs in own_tilt(replay)]
     tilts, free, play = (_overall(replay, name) for name in (TILTS, FREE, BACKLASH))
     before = replay.of(replay.models[0].name, SETUPS[0]).before_m
     return (
         f"Over the level board, the nominal arm misses the points by {1e3 * before:.1f} mm (paper"
         f" {1e3 * PUBLISHED_BEFORE_m:.2f} mm). Identification and verification on one tilt reduce the error by"
-        f" {', '.join(own)}.",
+        f" {', '.join(reductions)}.",
         f"Geometry alone leaves {1e3 * tilts:.2f} mm from all tilts, and {1e3 * free:.2f} mm with free poses added."
         f" Backlash in model and commands reduces this to {1e3 * play:.2f} mm (means over all places).",
     )
@@ -283,9 +283,9 @@ def _mm(value_m: float, half_m: float) -> str:
 def _table_section(replay: PaperReplay) -> Section:
     rows: list[Sequence[Cell]] = []
     for model in replay.models:
-        each = [replay.of(model.name, place) for place in PLACES]
-        rows.append((model.name, str(model.points_count), *(("after", _mm(e.after_m, e.after_half_m)) for e in each)))
-        rows.append(("", "", *(f"{e.percent:.1f} ± {e.percent_half:.1f} %" for e in each)))
+        by_place = [replay.of(model.name, place) for place in PLACES]
+        rows.append((model.name, str(model.points_count), *(("after", _mm(e.after_m, e.after_half_m)) for e in by_place)))
+        rows.append(("", "", *(f"{e.percent:.1f} ± {e.percent_half:.1f} %" for e in by_place)))
     before = [replay.of(replay.models[0].name, place) for place in PLACES]
     first: Sequence[Cell] = ("not calibrated", "", *(("before", _mm(b.before_m, b.before_half_m)) for b in before))
     return Section(

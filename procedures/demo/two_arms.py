@@ -109,15 +109,15 @@ def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOut
             _take(pair, plan, out, advance)
         advance("identification", 0.8)
         fitted, checked = (_read(out / name / POINTS, plan) for name in ("contacts", "check"))
-        found = calibrate_pair(plan.arms, fitted, PairPlan())
-        calibrated = _written(cell, names, plan, found, out)
+        identification = calibrate_pair(plan.arms, fitted, PairPlan())
+        calibrated = _written(cell, names, plan, identification, out)
         advance("circle, after", 0.9)
         with _homed(calibrated, names, bench) as pair:
             after = pair.circle_beside()
     finally:
         bench.close()
     base = planning.base_of(cell, (cell.names[0], cell.names[1]))
-    placed = calibrate_pair(plan.arms, fitted, PairPlan(fixed=_geometry(found)))
+    placed = calibrate_pair(plan.arms, fitted, PairPlan(fixed=_geometry(identification)))
     files = {
         "contacts": out / "contacts" / POINTS,
         "calibrated cell": out / "calibrated" / f"{cell.name}.cell.toml",
@@ -126,10 +126,10 @@ def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOut
     return PairOutcome(
         cell,
         plan,
-        found,
+        identification,
         contact_errors_m(plan.arms, base, checked),
         contact_errors_m(placed.arms, placed.base, checked),
-        contact_errors_m(found.arms, found.base, checked),
+        contact_errors_m(identification.arms, identification.base, checked),
         fitted,
         checked,
         TrackPair(before.name, "", before, after),
@@ -166,20 +166,20 @@ def _read(file: Path, plan: planning.ContactPlan) -> Contacts:
     return read_contacts(file, plan.arms)[0]
 
 
-def _geometry(found: PairFound) -> list[str]:
+def _geometry(identification: PairFound) -> list[str]:
     """The names of all parameters but the second base's."""
-    return [one.parameter.name for one in found.estimates if one.parameter.has_bound]
+    return [one.parameter.name for one in identification.estimates if one.parameter.has_bound]
 
 
-def _written(cell: Cell, names: tuple[str, str], plan: planning.ContactPlan, found: PairFound, out: Path) -> Cell:
+def _written(cell: Cell, names: tuple[str, str], plan: planning.ContactPlan, identification: PairFound, out: Path) -> Cell:
     """Both arms, pair.json and the calibrated cell as files; the cell as loaded from them."""
     folder, made = out / "pair", made_today(input_file(out / "contacts" / POINTS, "contacts"))
     folder.mkdir()
-    write_pair(folder, plan.arms, found, "huber", made)
-    write_whole(folder / "pair.txt", pair_text(plan.arms, found) + "\n")
+    write_pair(folder, plan.arms, identification, "huber", made)
+    write_whole(folder / "pair.txt", pair_text(plan.arms, identification) + "\n")
     first, second = (load_arm(str(folder / f"{name}.toml")) for name in names)
     (out / "calibrated").mkdir()
-    return load_cell(save_cell(calibrated_cell(cell, (first, second), found.base), out / "calibrated"))
+    return load_cell(save_cell(calibrated_cell(cell, (first, second), identification.base), out / "calibrated"))
 
 
 # What the two arms of the demo do: touch each other at planned contacts, and draw a circle relative to the other's tip.
@@ -299,12 +299,12 @@ def findings(outcome: PairOutcome) -> tuple[str, ...]:
         f"{_mean_mm(error_m):.2f} mm" for error_m in (outcome.by_files_m, outcome.placed_m, outcome.calibrated_m)
     )
     before, after = (f"{_mean_mm(error_m):.2f} mm" for error_m in circle_errors_m(outcome))
-    found = outcome.found
+    rank, count = outcome.found.known.rank, len(outcome.found.estimates)
     return (
         f"{len(outcome.checked)} contacts that the calibration did not use stay open by {files} on average as the files say,"
         f" by {placed} where only the second base is placed, and by {calibrated} with both arms calibrated.",
         f"A circle of one tip beside the other is off by {before} before and by {after} after, by the plant's truth.",
-        f"{len(outcome.fitted)} contacts determine {found.known.rank} of {len(found.estimates)} parameters; those that stay open"
+        f"{len(outcome.fitted)} contacts determine {rank} of {count} parameters; those that stay open"
         " move no tip of one arm relative to the other.",
     )
 

@@ -97,14 +97,14 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOut
 
 def findings(outcome: WebcamOutcome) -> tuple[str, ...]:
     """What was found, against the truth."""
-    found, lens = outcome.made.found, outcome.lens.lens
+    identification, lens = outcome.made.found, outcome.lens.lens
     return (
         f"Lens: {len(outcome.lens.seen)} pictures, residual {outcome.lens.rms_px:.3f} px; focal length"
         f" {lens.values[0]:.2f} px (sd {lens.sd[0]:.2f}), true {outcome.true_focal_px:.2f} px.",
-        f"Poses: {len(outcome.poses.measured)} of {ARM_PICTURES} pictures; the points scatter {found.weighted or 0.0:.2f} times"
-        " as much as their covariances say.",
-        f"Determined: {found.rank} of {len(found.estimates)} parameters with orientations, {outcome.rank_by_position} of"
-        f" {len(found.estimates) - 3} by positions alone.",
+        f"Poses: {len(outcome.poses.measured)} of {ARM_PICTURES} pictures; the points scatter"
+        f" {identification.weighted or 0.0:.2f} times as much as their covariances say.",
+        f"Determined: {identification.rank} of {len(identification.estimates)} parameters with orientations,"
+        f" {outcome.rank_by_position} of {len(identification.estimates) - 3} by positions alone.",
         f"Error of the target at {WORKSPACE_POSES} poses all over the workspace, against the truth:"
         f" {_words(outcome.before_m)} before, {_words(outcome.after_m)} after.",
     )
@@ -124,16 +124,16 @@ def _pictured(arm: Arm, deviations: dict[str, float], webcam: Webcam) -> Picture
 
 def _seen_poses(pictured: PicturedArm, arm: Arm, draw: np.random.Generator) -> Array:
     """Poses (ARM_PICTURES, n) in which the camera sees the whole board."""
-    found: list[Array] = []
-    while len(found) < ARM_PICTURES:
+    poses_rad: list[Array] = []
+    while len(poses_rad) < ARM_PICTURES:
         q = _drawn(arm, draw)
         place = pictured.target(q.tolist())
         away = float(np.linalg.norm(place.position_m))
         is_above = pictured.last_link(q.tolist()).position_m[2] > LEAST_HEIGHT_m
         is_facing = place.rotation[:, 2] @ place.position_m > FACING * away
         if is_above and is_facing and NEAREST_m < away < FARTHEST_m and is_inside(pictured.webcam, BOARD, place):
-            found.append(q)
-    return np.array(found)
+            poses_rad.append(q)
+    return np.array(poses_rad)
 
 
 def is_inside(webcam: Webcam, board: Charuco, place: FramePose) -> bool:

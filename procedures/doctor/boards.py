@@ -225,12 +225,12 @@ def _compare_encoder(
             )
 
 
-def _same(boards: AnsweringBoards, what: str, drive: Drive, name: str, found: int) -> None:
-    if found == drive.encoder_counts_per_rev:
+def _same(boards: AnsweringBoards, what: str, drive: Drive, name: str, counts: int) -> None:
+    if counts == drive.encoder_counts_per_rev:
         return
     boards.bad(
         f"{what}: joint {drive.joint}, {name}",
-        str(found),
+        str(counts),
         str(drive.encoder_counts_per_rev),
         ("correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the true value"),
     )
@@ -281,19 +281,19 @@ def _open_bus(boards: AnsweringBoards, arm: Arm, clock: Clock) -> None:
     counted = boards.counted = CountedLink(link)
     try:
         before = listen(counted, clock, LISTEN_S)
-        found = scan_nodes(counted, clock)
+        scan = scan_nodes(counted, clock)
     except LinkError as error:
         boards.bad("CAN bus", str(error), "", "check adapter, termination (120 ohm at both ends) and bit rate")
         return
-    _judge_bus(boards, arm, before, found)
+    _judge_bus(boards, arm, before, scan)
     boards.bus = MotorBus(counted, clock)
     for drive in arm.drives:
-        _check_motor(boards, arm, drive, found)
+        _check_motor(boards, arm, drive, scan)
 
 
-def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusScan) -> None:
+def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, scan: BusScan) -> None:
     where = arm.can.channel if arm.can else ""
-    commanded = sorted(before.commanded | found.commanded)
+    commanded = sorted(before.commanded | scan.commanded)
     if commanded:
         boards.may_command = False
         nodes = ", ".join(map(str, commanded))
@@ -303,7 +303,7 @@ def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusSca
             "one host per bus",
             ("end the other program (`armwright off --quit` ends a runtime); the doctor sends nothing to the boards until then"),
         )
-    strangers = before.strangers + found.strangers
+    strangers = before.strangers + scan.strangers
     if strangers:
         boards.warn(
             "CAN bus",
@@ -311,10 +311,10 @@ def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusSca
             "none",
             "remove CANopen and other devices from this bus: id 0 stops the arm",
         )
-    nodes = ", ".join(map(str, sorted(found.serial_numbers))) or "none"
+    nodes = ", ".join(map(str, sorted(scan.serial_numbers))) or "none"
     boards.ok("CAN bus", f"{where}: answering nodes: {nodes}")
     known = {drive.motor_node for drive in arm.drives}
-    for node in sorted(set(found.serial_numbers) - known):
+    for node in sorted(set(scan.serial_numbers) - known):
         boards.warn(
             f"node {node}",
             "a motor board that is not in arm.toml",
@@ -323,10 +323,10 @@ def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusSca
         )
 
 
-def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan) -> None:
+def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, scan: BusScan) -> None:
     what = f"motor board of joint {drive.joint} (node {drive.motor_node})"
-    if len(found.serial_numbers.get(drive.motor_node, [])) != 1:
-        _note_not_one(boards, arm, drive, found, what)
+    if len(scan.serial_numbers.get(drive.motor_node, [])) != 1:
+        _note_not_one(boards, arm, drive, scan, what)
         return
     if boards.bus is None:
         return
@@ -358,12 +358,12 @@ def _judge_reset(boards: AnsweringBoards, what: str, board: MotorBoard) -> None:
         boards.warn(f"{what}: last start", measured, "a power-up", remedy)
 
 
-def _note_not_one(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan, what: str) -> None:
-    serials = found.serial_numbers.get(drive.motor_node, [])
+def _note_not_one(boards: AnsweringBoards, arm: Arm, drive: Drive, scan: BusScan, what: str) -> None:
+    serials = scan.serial_numbers.get(drive.motor_node, [])
     if not serials:
-        unknown = sorted(set(found.serial_numbers) - {d.motor_node for d in arm.drives})
+        unknown = sorted(set(scan.serial_numbers) - {d.motor_node for d in arm.drives})
         hint = f"; node {unknown[0]} answers but has no joint and may be this board" if unknown else ""
-        if found.serial_numbers:
+        if scan.serial_numbers:
             remedy = f"check its supply and its node id{hint}"
         else:
             remedy = "no board answers: check supply, emergency stop, CAN-H and CAN-L, termination, and [can] bitrate"
@@ -427,34 +427,34 @@ class BoardSamples:
 
 def sample(boards: AnsweringBoards, clock: Clock, period_s: float, duration_s: float) -> BoardSamples:
     """Listen for `duration_s`. Problems reported by boards are collected in `problems`; never raises LinkError."""
-    found = BoardSamples(duration_s, period_s)
+    samples = BoardSamples(duration_s, period_s)
     for index, encoder in boards.encoders.items():
-        found.encoders[index] = EncoderSamples()
+        samples.encoders[index] = EncoderSamples()
         try:
             start_stream(encoder, period_s)
         except LinkError as error:
-            found.problems.append(str(error))
-    found.motors = {joint: MotorSamples() for joint in boards.motors}
-    _count(boards, found, -1)
+            samples.problems.append(str(error))
+    samples.motors = {joint: MotorSamples() for joint in boards.motors}
+    _count(boards, samples, -1)
     begun_s = clock.now_s()
     cycles = round(duration_s / period_s)
     looks_s: set[float] = set()
     sent_s: list[float] = []
     for cycle in range(cycles):
-        if not _command(boards, found):
+        if not _command(boards, samples):
             break
         sent_s.append(clock.now_s())
         for part in range(1, POLLS + 1):
             clock.wait_until_s(begun_s + (cycle + part / POLLS) * period_s)
             looks_s.add(clock.now_s())
-            _hear(boards, found, clock.now_s(), sent_s)
-    found.duration_s = clock.now_s() - begun_s
-    found.resolution_s = found.duration_s / max(len(looks_s), 1)
-    _count(boards, found, 1)
-    return found
+            _hear(boards, samples, clock.now_s(), sent_s)
+    samples.duration_s = clock.now_s() - begun_s
+    samples.resolution_s = samples.duration_s / max(len(looks_s), 1)
+    _count(boards, samples, 1)
+    return samples
 
 
-def _command(boards: AnsweringBoards, found: BoardSamples) -> bool:
+def _command(boards: AnsweringBoards, samples: BoardSamples) -> bool:
     """Send one COMMAND to each motor board; False if the bus is lost."""
     if not boards.may_command:
         return True
@@ -462,30 +462,30 @@ def _command(boards: AnsweringBoards, found: BoardSamples) -> bool:
         try:
             motor.command_off()
         except LinkError as error:
-            found.problems.append(str(error))
+            samples.problems.append(str(error))
             return False
-        found.motors[joint].commands += 1
+        samples.motors[joint].commands += 1
     return True
 
 
-def _hear(boards: AnsweringBoards, found: BoardSamples, now_s: float, sent_s: list[float]) -> None:
+def _hear(boards: AnsweringBoards, samples: BoardSamples, now_s: float, sent_s: list[float]) -> None:
     for index, encoder in boards.encoders.items():
         before = encoder.reports
-        _noting(found, encoder.update)
+        _noting(samples, encoder.update)
         if encoder.reports > before and encoder.latest is not None:
-            samples, report = found.encoders[index], encoder.latest
-            samples.arrived_s.append(now_s)
-            samples.latched_s.append(encoder.board_time_s)
-            samples.counts.append(report.counts)
-            samples.flags = [a | b for a, b in zip(samples.flags, report.flags, strict=True)]
-            samples.zero_set = [bool(flags & 8) for flags in report.flags]
+            stream, report = samples.encoders[index], encoder.latest
+            stream.arrived_s.append(now_s)
+            stream.latched_s.append(encoder.board_time_s)
+            stream.counts.append(report.counts)
+            stream.flags = [a | b for a, b in zip(stream.flags, report.flags, strict=True)]
+            stream.zero_set = [bool(flags & 8) for flags in report.flags]
     if boards.bus is None:
         return
     before_replies = {joint: motor.replies for joint, motor in boards.motors.items()}
-    _noting(found, boards.bus.update)
+    _noting(samples, boards.bus.update)
     for joint, motor in boards.motors.items():
         if motor.replies > before_replies[joint] and boards.may_command:
-            _take_reply(found.motors[joint], motor, now_s, sent_s)
+            _take_reply(samples.motors[joint], motor, now_s, sent_s)
 
 
 def _take_reply(seen: MotorSamples, motor: MotorBoard, now_s: float, sent_s: list[float]) -> None:
@@ -500,21 +500,21 @@ def _take_reply(seen: MotorSamples, motor: MotorBoard, now_s: float, sent_s: lis
     seen.faults |= motor.reply.faults
 
 
-def _noting(found: BoardSamples, update: Callable[[], None]) -> None:
+def _noting(samples: BoardSamples, update: Callable[[], None]) -> None:
     try:
         update()
     except LinkError as error:
-        if str(error) not in found.problems:
-            found.problems.append(str(error))
+        if str(error) not in samples.problems:
+            samples.problems.append(str(error))
 
 
-def _count(boards: AnsweringBoards, found: BoardSamples, sign: int) -> None:
+def _count(boards: AnsweringBoards, samples: BoardSamples, sign: int) -> None:
     """Add the change of the boards' counters: called with -1 at the beginning and +1 at the end."""
     for index, encoder in boards.encoders.items():
-        samples = found.encoders[index]
-        samples.reports += sign * encoder.reports
-        samples.lost += sign * encoder.lost
-        samples.bad_frames += sign * (encoder.crc_errors + encoder.framing_errors)
+        stream = samples.encoders[index]
+        stream.reports += sign * encoder.reports
+        stream.lost += sign * encoder.lost
+        stream.bad_frames += sign * (encoder.crc_errors + encoder.framing_errors)
     for joint, motor in boards.motors.items():
-        found.motors[joint].replies += sign * motor.replies
-    found.can_frames += sign * (boards.counted.frames if boards.counted else 0)
+        samples.motors[joint].replies += sign * motor.replies
+    samples.can_frames += sign * (boards.counted.frames if boards.counted else 0)

@@ -316,17 +316,17 @@ def judge_can(can: CanBus, details: Details, needs_fd: bool = False) -> Iterator
         yield from _judge_socketcan(what, can, details(can.channel), needs_fd)
 
 
-def _judge_socketcan(what: str, can: CanBus, found: Mapping[str, Any] | None, needs_fd: bool) -> Iterator[Finding]:
-    """`found` is what `ip -details -json link show` says of it; None where the machine has no such interface or no ip."""
+def _judge_socketcan(what: str, can: CanBus, details: Mapping[str, Any] | None, needs_fd: bool) -> Iterator[Finding]:
+    """`details` is what `ip -details -json link show` says of it; None where the machine has no such interface or no ip."""
     data_phase = "dbitrate 5000000 fd on " if needs_fd else ""
     up = f"ip link set {can.channel} up type can bitrate {can.bitrate} {data_phase}restart-ms 100"
-    if found is None:
+    if details is None:
         remedy = f"plug the adapter in; `ip -br link show type can` lists what is here; then `{up}`"
         yield Finding(Level.BAD, PORTS, what, "there is no such interface", can.channel, remedy)
         return
-    data = found.get("linkinfo", {}).get("info_data", {})
+    data = details.get("linkinfo", {}).get("info_data", {})
     state, bitrate = str(data.get("state", "")), data.get("bittiming", {}).get("bitrate")
-    is_up = "UP" in found.get("flags", ["UP"])
+    is_up = "UP" in details.get("flags", ["UP"])
     measured = ", ".join(part for part in ("up" if is_up else "down", state.lower()) if part)
     again = f"`ip link set {can.channel} down`, then `{up}`"
     if not is_up or state in ("BUS-OFF", "STOPPED"):
@@ -343,7 +343,7 @@ def _judge_socketcan(what: str, can: CanBus, found: Mapping[str, Any] | None, ne
     if data and not data.get("restart_ms"):
         remedy = f"it stays off the bus after a short circuit: {again}"
         yield Finding(Level.WARN, PORTS, f"{what}: restart after bus-off", "never", "100 ms", remedy)
-    if (queue := int(found.get("txqlen", LEAST_QUEUE))) < LEAST_QUEUE:
+    if (queue := int(details.get("txqlen", LEAST_QUEUE))) < LEAST_QUEUE:
         remedy = f"`ip link set {can.channel} txqueuelen 100`"
         yield Finding(Level.WARN, PORTS, f"{what}: transmit queue", f"{queue} frames", f"{LEAST_QUEUE}", remedy)
 
@@ -353,10 +353,10 @@ def kernel_details(channel: str) -> Mapping[str, Any] | None:
     if not Path("/sys/class/net", channel).exists():
         return None
     try:
-        said = subprocess.run(
+        output = subprocess.run(
             ["ip", "-details", "-json", "link", "show", channel], capture_output=True, text=True, timeout=_ASK_LIMIT_S, check=True
         ).stdout
-        entries = json.loads(said)
+        entries = json.loads(output)
     except (OSError, subprocess.SubprocessError, ValueError):
         return {}
     return entries[0] if entries else {}

@@ -51,18 +51,18 @@ def judge(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
         yield Finding(Level.BAD, "signals", "a board reported a problem", problem, "", "fix this first")
 
 
-def _encoder_timing(what: str, found: EncoderSamples, samples: BoardSamples, arm: Arm, index: int) -> Iterator[Finding]:
-    if len(found.latched_s) < 10:
-        text = f"{found.reports} in {samples.duration_s:.1f} s"
+def _encoder_timing(what: str, stream: EncoderSamples, samples: BoardSamples, arm: Arm, index: int) -> Iterator[Finding]:
+    if len(stream.latched_s) < 10:
+        text = f"{stream.reports} in {samples.duration_s:.1f} s"
         yield Finding(Level.BAD, "timing", f"{what}: reports", text, "a stream", "check supply, cable and baud rate")
         return
-    spans = [b - a for a, b in zip(found.latched_s, found.latched_s[1:], strict=False)]
+    spans = [b - a for a, b in zip(stream.latched_s, stream.latched_s[1:], strict=False)]
     period_s = min(median(spans), samples.period_s)
     wanted = samples.duration_s / (0.5 * samples.period_s)
-    if found.reports < 0.75 * wanted:  # a slow line carries one report per cycle instead of two
+    if stream.reports < 0.75 * wanted:  # a slow line carries one report per cycle instead of two
         wanted = samples.duration_s / samples.period_s
-    rate_Hz = found.reports / samples.duration_s
-    missing = abs(1.0 - found.reports / wanted)
+    rate_Hz = stream.reports / samples.duration_s
+    missing = abs(1.0 - stream.reports / wanted)
     yield graded(
         "timing",
         f"{what}: report rate",
@@ -70,8 +70,8 @@ def _encoder_timing(what: str, found: EncoderSamples, samples: BoardSamples, arm
         (0.01, 0.05),
         (f"{rate_Hz:.1f} Hz", f"{wanted / samples.duration_s:.0f} Hz", "check for bad frames, and the load of this host"),
     )
-    yield from _lost(what, found)
-    yield from _encoder_clock(what, found, samples, arm.limits.stale_s)
+    yield from _lost(what, stream)
+    yield from _encoder_clock(what, stream, samples, arm.limits.stale_s)
     baud = arm.encoder_boards[index].baud
     load = wire.REPORT_WIRE_BYTES * 10 / baud / period_s
     yield graded(
@@ -83,8 +83,8 @@ def _encoder_timing(what: str, found: EncoderSamples, samples: BoardSamples, arm
     )
 
 
-def _encoder_clock(what: str, found: EncoderSamples, samples: BoardSamples, stale_s: float) -> Iterator[Finding]:
-    drift_ppm, sd_ppm, residual_s = clock_drift(found.latched_s, found.arrived_s)
+def _encoder_clock(what: str, stream: EncoderSamples, samples: BoardSamples, stale_s: float) -> Iterator[Finding]:
+    drift_ppm, sd_ppm, residual_s = clock_drift(stream.latched_s, stream.arrived_s)
     sd_ppm = math.hypot(sd_ppm, 1e6 * samples.resolution_s / samples.duration_s)
     yield graded(
         "timing",
@@ -108,15 +108,15 @@ def _encoder_clock(what: str, found: EncoderSamples, samples: BoardSamples, stal
     )
 
 
-def _lost(what: str, found: EncoderSamples) -> Iterator[Finding]:
-    total = found.reports + found.lost
+def _lost(what: str, stream: EncoderSamples) -> Iterator[Finding]:
+    total = stream.reports + stream.lost
     yield graded(
         "timing",
         f"{what}: frames lost or broken",
-        max(found.lost, found.bad_frames) / max(total, 1),
+        max(stream.lost, stream.bad_frames) / max(total, 1),
         LOST_LIMITS,
         (
-            f"{found.lost} lost, {found.bad_frames} with a bad CRC, of {total}",
+            f"{stream.lost} lost, {stream.bad_frames} with a bad CRC, of {total}",
             "none",
             "check the cable, shield and ground; route the cable away from the motor cables",
         ),
@@ -140,20 +140,20 @@ def clock_drift(latched_s: list[float], arrived_s: list[float]) -> tuple[float, 
     return 1e6 * (1.0 / slope - 1.0), sd_ppm, [r - earliest_s for r in residual_s]
 
 
-def _reply_timing(what: str, found: MotorSamples, samples: BoardSamples) -> Iterator[Finding]:
-    if not found.commands:
+def _reply_timing(what: str, motor: MotorSamples, samples: BoardSamples) -> Iterator[Finding]:
+    if not motor.commands:
         return
-    missing = 1.0 - found.replies / found.commands
+    missing = 1.0 - motor.replies / motor.commands
     # The reply to the last command may still be pending.
     yield graded(
         "timing",
         f"{what}: replies",
-        max(0.0, missing - 1.0 / found.commands),
+        max(0.0, missing - 1.0 / motor.commands),
         LOST_LIMITS,
-        (f"{found.replies} to {found.commands} commands", "one for each", "check CAN cable and termination"),
+        (f"{motor.replies} to {motor.commands} commands", "one for each", "check CAN cable and termination"),
     )
-    p99 = percentile(found.latency_s, 0.99)
-    middle = 1e3 * median(found.latency_s) if found.latency_s else math.nan
+    p99 = percentile(motor.latency_s, 0.99)
+    middle = 1e3 * median(motor.latency_s) if motor.latency_s else math.nan
     yield graded(
         "timing",
         f"{what}: latency of replies",
@@ -187,18 +187,18 @@ def _buses(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
     )
 
 
-def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
+def _channel(drive: Drive, stream: EncoderSamples) -> Iterator[Finding]:
     at = drive.encoder_channel
     what, group = f"joint {drive.joint}: encoder", "signals"
-    if at >= len(found.flags):
+    if at >= len(stream.flags):
         return
-    if found.flags[at] & SIGNAL_LOST:
+    if stream.flags[at] & SIGNAL_LOST:
         yield Finding(Level.BAD, group, what, "its signal is lost", "a signal", "check the encoder's cable and plug")
         return
-    if found.flags[at] & QUADRATURE_ERROR:
+    if stream.flags[at] & QUADRATURE_ERROR:
         remedy = "check the encoder's cable, shield and supply; then home again"
         yield Finding(Level.WARN, group, what, "illegal transition: the count may be wrong", "", remedy)
-    counts = [row[at] for row in found.counts]
+    counts = [row[at] for row in stream.counts]
     spread = max(counts) - min(counts)
     if spread > MOVED_counts:
         yield Finding(
@@ -211,7 +211,7 @@ def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
         )
         return
     noise = pstdev(counts)
-    homed = "homed" if found.zero_set[at] else "not homed yet"
+    homed = "homed" if stream.zero_set[at] else "not homed yet"
     yield graded(
         group,
         what,
@@ -225,18 +225,18 @@ def _channel(drive: Drive, found: EncoderSamples) -> Iterator[Finding]:
     )
 
 
-def _has_moved(drive: Drive, found: EncoderSamples | None) -> bool:
+def _has_moved(drive: Drive, stream: EncoderSamples | None) -> bool:
     at = drive.encoder_channel
-    if found is None or at >= len(found.flags):
+    if stream is None or at >= len(stream.flags):
         return False
-    counts = [row[at] for row in found.counts]
+    counts = [row[at] for row in stream.counts]
     return max(counts, default=0) - min(counts, default=0) > MOVED_counts
 
 
-def _current(drive: Drive, found: MotorSamples) -> Finding:
+def _current(drive: Drive, motor: MotorSamples) -> Finding:
     joint = f"joint {drive.joint}"
     limit_A = drive.current_limit_A if math.isfinite(drive.current_limit_A) else 10.0
-    offset_A, noise_A = fmean(found.current_A), pstdev(found.current_A)
+    offset_A, noise_A = fmean(motor.current_A), pstdev(motor.current_A)
     # The larger of the two is graded: either is an unwanted current.
     return graded(
         "signals",
@@ -251,9 +251,9 @@ def _current(drive: Drive, found: MotorSamples) -> Finding:
     )
 
 
-def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
+def _power(drive: Drive, motor: MotorSamples) -> Iterator[Finding]:
     joint = f"joint {drive.joint}"
-    supply_V = fmean(found.supply_V)
+    supply_V = fmean(motor.supply_V)
     remedy = "check the supply, its fuse and the emergency stop, or correct supply_V in arm.toml"
     yield graded(
         "signals",
@@ -262,7 +262,7 @@ def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
         SUPPLY_LIMITS,
         (f"{supply_V:.2f} V", f"{drive.supply_V:g} V", remedy),
     )
-    hottest = max(found.temperature_degC)
+    hottest = max(motor.temperature_degC)
     yield graded(
         "signals",
         f"{joint}: power stage",
@@ -271,7 +271,7 @@ def _power(drive: Drive, found: MotorSamples) -> Iterator[Finding]:
         (f"{hottest:.0f} degC", f"below {TEMPERATURE_LIMITS_degC[0]:.0f} degC", "let it cool; check the fan and the load"),
     )
     for bit, (name, cure) in DRIVE_FAULTS.items():
-        if found.faults >> bit & 1:
+        if motor.faults >> bit & 1:
             yield Finding(
                 Level.BAD,
                 "signals",

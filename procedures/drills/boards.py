@@ -106,7 +106,7 @@ class BoardsDrill(drill.Promise):
     @classmethod
     def all(cls) -> Iterator["BoardsDrill"]:
         """The drills, each on every kind of boards that it befalls."""
-        lost, own, sagged, silent, moved = (
+        lost, faulted, sagged, silent, moved = (
             frozenset(codes.split())
             for codes in ("drive_left link", "drive_fault", "drive_fault supply", "drive_silent", "encoder_contradicted")
         )
@@ -134,8 +134,8 @@ class BoardsDrill(drill.Promise):
             ("below-floor", "moves of an arm that stands below the floor", drill.GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
             ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, HOLDING_ON),
             ("brown-out", "the supply of one board sags to 60 %", sagged, SINKS_mm, brown_out, (*HOLDING[-1:], *BRAKING)),
-            ("own-error", "one board is too hot", own, FALLS_mm, own_error, (*HOLDING, *BRAKING)),
-            ("overload", "a servo is overloaded, and keeps a share of its torque", own, HELD_mm, overloaded, ("feetech",)),
+            ("own-error", "one board is too hot", faulted, FALLS_mm, own_error, (*HOLDING, *BRAKING)),
+            ("overload", "a servo is overloaded, and keeps a share of its torque", faulted, HELD_mm, overloaded, ("feetech",)),
             ("asked", "another program asks a board in each cycle", drill.GOES_ON, HELD_mm, asked, (*HOLDING, *BRAKING[:1])),
             ("asked", "another program asks a board in each cycle", silent, SINKS_mm, asked, BRAKING[1:]),
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", drill.GOES_ON, STOPS_mm, host_gone, HOLDING),
@@ -279,11 +279,11 @@ def own_error(played: drill.Stage) -> str:
     played.begin(drill.REST)
     played.way = played.way[-1:]
     name, joint = _second(played)
-    holding = [other for other, driven in enumerate(_torques(played)) if driven and other != joint]
+    holding = [k for k, driven in enumerate(_torques(played)) if driven and k != joint]
     played.inject("over_temperature", name)
     played.run(0.5)
     torques = _torques(played)
-    if played.arm.boards[0].kind in HOLDING and not all(torques[other] for other in holding):
+    if played.arm.boards[0].kind in HOLDING and not all(torques[k] for k in holding):
         return "another joint was let go"
     played.mend()
     for _ in range(50):

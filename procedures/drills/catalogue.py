@@ -303,17 +303,17 @@ def _each(
     during: tuple[str, ...] = (REST, MOVE, SESSION),
 ) -> Iterator[Promise]:
     """The same fault at rest, in motion and in a session."""
-    found = frozenset(codes.split())
+    expected = frozenset(codes.split())
     for moment in during:
         most_mm = {REST: most.rest_mm, SESSION: most.session_mm}.get(moment, most.move_mm)
         full = f"{name}-{SUFFIX[moment]}"
         if moment != SESSION:
-            yield Drill(full, says, moment, found, within_s, most_mm, inject)
+            yield Drill(full, says, moment, expected, within_s, most_mm, inject)
             continue
-        yield SessionDrill(full, says, moment, found, within_s, most_mm, inject)
+        yield SessionDrill(full, says, moment, expected, within_s, most_mm, inject)
         if name in ALSO_MEASURING:
-            most_mm = most_mm if not found else max(most_mm, RELEASED_mm)
-            yield SessionDrill(f"{name}-measuring", says, "measuring", found, within_s, most_mm, inject, True)
+            most_mm = most_mm if not expected else max(most_mm, RELEASED_mm)
+            yield SessionDrill(f"{name}-measuring", says, "measuring", expected, within_s, most_mm, inject, True)
 
 
 def _frames() -> Iterator[Promise]:
@@ -578,9 +578,9 @@ def drills_named(name: str) -> list[Promise]:
     ArmError gives the nearest names, and the command that lists all.
     """
     known = drills()
-    found = [drill for full, drill in known.items() if f"{full}-".startswith(f"{name}-")]
-    if not found:
+    named = [drill for full, drill in known.items() if f"{full}-".startswith(f"{name}-")]
+    if not named:
         near = get_close_matches(name, known, n=5, cutoff=0.4)
         meant = f": did you mean {' or '.join(near)}?" if near else ";"
         raise ArmError(f"no drill {name!r}{meant} `armwright drill --list` lists all {len(known)}")
-    return found
+    return named

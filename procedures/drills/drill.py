@@ -359,7 +359,7 @@ class Drill(Promise):
             self.inject(played)
             played.run(max(0.0, begun_s + WATCHED_S - played.now_s))
             has_dropped = played.grip_N() < KEPT * grip_N
-            way, noticed_s, found, message = played.way.copy(), played.noticed_s, played.found, played.message
+            way, noticed_s, codes, message = played.way.copy(), played.noticed_s, played.found, played.message
             refusal = played.recover()
             asked = asked_way(self.during, WATCHED_S)
             return DrillOutcome(
@@ -368,8 +368,8 @@ class Drill(Promise):
                 length_m(way) * 1e3,
                 None if noticed_s is None else noticed_s - begun_s,
                 stood_s(way, begun_s, LOOKED),
-                self._lost(played, found, has_dropped),
-                found,
+                self._lost(played, codes, has_dropped),
+                codes,
                 message,
                 played.wrong_rad() * 1e3,
                 "" if bool(refusal) or not self.is_refused else "the other board was not refused",
@@ -381,11 +381,11 @@ class Drill(Promise):
         played.client.home()
         played.client.move_joints(FROM_rad)
 
-    def _lost(self, played: Stage, found: tuple[str, ...], has_dropped: bool) -> str:
+    def _lost(self, played: Stage, codes: tuple[str, ...], has_dropped: bool) -> str:
         lost = []
         if not played.assembly.runtime.monitor.is_homed:
             lost.append("the zero")
-        elif self.during == MOVE and found:
+        elif self.during == MOVE and codes:
             lost.append("the motion")
         return ", ".join((*lost, *(["the grip"] if has_dropped else []))) or "nothing"
 
@@ -402,9 +402,9 @@ def header() -> str:
 def row(outcome: DrillOutcome) -> str:
     """One drill; a promise that was not kept follows in capitals."""
     promised = [code for code in outcome.found if code in outcome.drill.codes]
-    found = next(iter((*promised, *outcome.found)), "goes on")
+    reaction = next(iter((*promised, *outcome.found)), "goes on")
     if outcome.broken:
-        found = f"{found}   BROKEN: {'; '.join(outcome.broken)}"
+        reaction = f"{reaction}   BROKEN: {'; '.join(outcome.broken)}"
     return _line(
         (
             outcome.drill.name,
@@ -414,7 +414,7 @@ def row(outcome: DrillOutcome) -> str:
             f"{outcome.off_path_mm:.1f}",
             f"{outcome.ran_on_mm:.0f}",
             outcome.lost,
-            found,
+            reaction,
         )
     )
 

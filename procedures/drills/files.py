@@ -150,7 +150,7 @@ def _power_in_calibration(folder: Path) -> tuple[int, int]:
 def _full_in_session(folder: Path) -> tuple[int, int]:
     lost = 0
     for room in ROOMS_bytes:
-        path, kept = folder / str(room), {KEYS[0]: Mark.DONE}
+        path, marks = folder / str(room), {KEYS[0]: Mark.DONE}
         with SessionFolder(path, PLAN) as session:
             session.record(_record(KEYS[0]))
             size = max(file.stat().st_size for file in path.iterdir())
@@ -158,10 +158,10 @@ def _full_in_session(folder: Path) -> tuple[int, int]:
                 for key in KEYS[1:4]:
                     with contextlib.suppress(NotWritten):
                         session.record(_record(key))
-                        kept[key] = Mark.DONE
+                        marks[key] = Mark.DONE
             session.record(_record(KEYS[5]))
-            kept[KEYS[5]] = Mark.DONE
-        lost += _missing(path, kept)
+            marks[KEYS[5]] = Mark.DONE
+        lost += _missing(path, marks)
     return len(ROOMS_bytes), lost
 
 
@@ -243,10 +243,10 @@ class Disk:
 
     def forget(self) -> None:
         """The power is back: leave what was on the disk for certain."""
-        for name, kept in self._kept.values():
+        for name, synced_bytes in self._kept.values():
             path = Path(name)
-            if path.exists() and path.stat().st_size > kept:
-                os.truncate(path, kept)
+            if path.exists() and path.stat().st_size > synced_bytes:
+                os.truncate(path, synced_bytes)
         for path, before in self._renamed.items():
             if before is None:
                 path.unlink(missing_ok=True)
@@ -259,9 +259,9 @@ class Disk:
         self.calls += 1
 
     def _counted(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        def counted(*given: Any, **named: Any) -> Any:
+        def counted(*args: Any, **kwargs: Any) -> Any:
             self._count()
-            return call(*given, **named)
+            return call(*args, **kwargs)
 
         return counted
 
@@ -341,13 +341,13 @@ class RealTimeDrill(Promise):
             time.sleep(LOOK_S)
         way, begun_s = [(time.monotonic(), bench.rig.tip_m())], time.monotonic()
         self._break(bench, client)
-        found, message = self._found(client)
+        code, message = self._found(client)
         noticed_s = time.monotonic() - begun_s
         while time.monotonic() - begun_s < (WATCHED_S if self.pause_s is None else ARRIVES_S):
             way.append((time.monotonic(), bench.rig.tip_m()))
             time.sleep(LOOK_S)
-        if not found:
-            found, message = self._found(client)
+        if not code:
+            code, message = self._found(client)
         tips = ForwardKinematics(arm)
         shares = [k / SECTIONS for k in range(SECTIONS + 1)]  # a joint move is a straight line of the joints
         asked = [tips.tip(*(a + share * (b - a) for a, b in zip(start, TO_rad, strict=True))) for share in shares]
@@ -355,10 +355,10 @@ class RealTimeDrill(Promise):
             self,
             max(off_way_m(tip, asked) for _, tip in way[::4]) * 1e3,
             length_m(way) * 1e3,
-            noticed_s if found else None,
+            noticed_s if code else None,
             stood_s(way, way[0][0], looked=4),
-            "the motion" if found else "nothing",
-            (found,) if found else (),
+            "the motion" if code else "nothing",
+            (code,) if code else (),
             message,
             0.0,
             self._wrong_after(client),

@@ -86,12 +86,12 @@ class PairStage:
     def watch_gap(self) -> Callable[[], None]:
         """Complains when the arms, as they truly stand, come nearer than TOUCHED_m to each other."""
         cell = self.bench.standing
-        one, two = (ArmBody(placed, cell.tool_length_m) for placed in cell.arms)
-        pairs = pairs_between(one, two)
+        bodies = tuple(ArmBody(placed, cell.tool_length_m) for placed in cell.arms)
+        pairs = pairs_between(*bodies)
 
         def look() -> None:
             robots = self.bench.rig.mock.robots
-            first, second = (body.at(robots[name].joint_rad()) for body, name in zip((one, two), cell.names, strict=True))
+            first, second = (body.at(robots[name].joint_rad()) for body, name in zip(bodies, cell.names, strict=True))
             gap_m = least_gap(first, second, pairs, TOUCHED_m).gap_m
             if gap_m < TOUCHED_m:
                 self.complaint = self.complaint or f"the arms came within {1e3 * gap_m:.0f} mm"
@@ -288,7 +288,7 @@ class PairDrill(drill.Promise):
                 for name, way in sound.items()
             ]
             stood = [drill.stood_s(way, begun_s, drill.LOOKED) for way in sound.values()]
-            is_standing = all(one is not None for one in stood)
+            is_standing = all(rest_s is not None for rest_s in stood)
             runtimes = played.bench.runtimes.values()
             lost = [] if all(runtime.monitor.is_homed for runtime in runtimes) else ["the zero"]
             lost += ["the motion"] if self.begin not in AT_REST else []
@@ -297,7 +297,7 @@ class PairDrill(drill.Promise):
                 1e3 * max(off_m, default=0.0),
                 1e3 * max((drill.length_m(way) for way in sound.values()), default=0.0),
                 None if played.noticed_s is None else played.noticed_s - begun_s,
-                max((one for one in stood if one is not None), default=None) if is_standing else None,
+                max((rest_s for rest_s in stood if rest_s is not None), default=None) if is_standing else None,
                 ", ".join(lost) or "nothing",
                 tuple(code for codes in played.found.values() for code in codes),
                 played.message,

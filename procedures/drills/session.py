@@ -72,9 +72,9 @@ class DrilledSession:
         if points is None:
             return len(self.records)
         names = zip(points.setup, points.point, points.repeat, points.q_rad.tolist(), strict=True)
-        kept = {(setup, point, int(repeat)): q_rad for setup, point, repeat, q_rad in names}
+        on_disk = {(setup, point, int(repeat)): q_rad for setup, point, repeat, q_rad in names}
         return sum(
-            key not in kept or any(abs(kept[key][j] - record.q_rad[j]) > 1e-8 for j in range(joints))
+            key not in on_disk or any(abs(on_disk[key][j] - record.q_rad[j]) > 1e-8 for j in range(joints))
             for key, record in self.records.items()
         )
 
@@ -92,15 +92,15 @@ class SessionDrill(drill.Promise):
             session = DrilledSession(Path(folder) / "session", played)
             played.client.enable()
             played.each_cycle.append(self._injector(session))
-            said = _ended_by(session)
+            ending = _ended_by(session)
             begun_s = session.begun_s if session.begun_s is not None else played.now_s
             if played.found:
                 played.run(max(0.0, begun_s + drill.WATCHED_S - played.now_s))
             way = [place for place in played.way if begun_s - 1e-9 <= place[0] <= begun_s + drill.WATCHED_S]
             of_arm = [tip for at_s, tip in way if at_s not in session.by_hand_s] or [way[0][1]]
-            noticed_s, found, message = played.noticed_s, played.found, played.message or said
+            noticed_s, codes, message = played.noticed_s, played.found, played.message or ending
             resumed = _resumed(session)
-            asked, taken = _undisturbed()
+            asked, undisturbed = _undisturbed()
             return drill.DrillOutcome(
                 self,
                 max(drill.off_way_m(tip, asked) for tip in (*of_arm[:: drill.THINNED], of_arm[-1])) * 1e3,
@@ -108,9 +108,9 @@ class SessionDrill(drill.Promise):
                 None if noticed_s is None else noticed_s - begun_s,
                 drill.stood_s(way, begun_s, LOOKED),
                 _lost(session),
-                found,
+                codes,
                 message,
-                _wrong_rad(session.records, taken) * 1e3,
+                _wrong_rad(session.records, undisturbed) * 1e3,
                 resumed,
             )
 
@@ -167,9 +167,9 @@ def _lost(session: DrilledSession) -> str:
     return f"{lost} records" if lost else "nothing"
 
 
-def _wrong_rad(records: dict[Key, Record], taken: dict[Key, Record]) -> float:
+def _wrong_rad(records: dict[Key, Record], undisturbed: dict[Key, Record]) -> float:
     """By how much a record differs from the one without the fault."""
-    off = [abs(a - b) for key, record in records.items() for a, b in zip(record.q_rad, taken[key].q_rad, strict=True)]
+    off = [abs(a - b) for key, record in records.items() for a, b in zip(record.q_rad, undisturbed[key].q_rad, strict=True)]
     worst = max(off, default=0.0)
     return worst if worst > SEATED_rad else 0.0
 

@@ -180,10 +180,10 @@ def record(arm: Arm, bench: Bench, plan: RecordingPlan, out: Path, advance: Adva
             bench.hang(mass_kg)
         bench.client.ask("payload", mass_kg=mass_kg)
 
-    told = replace(bench, hang=hang)
+    announcing_bench = replace(bench, hang=hang)
     try:
         with PointsWriter(out / "points.csv", arm.joint_count, pose_frame) as points:
-            stops = tour(told, HOW, map(_stop, plan.steps), points, _RunFiles(arm, out))
+            stops = tour(announcing_bench, HOW, map(_stop, plan.steps), points, _RunFiles(arm, out))
             for done, stop in enumerate(stops):
                 advance(stop.name, done / len(plan.steps))
     finally:

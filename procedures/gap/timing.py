@@ -233,11 +233,11 @@ def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: BoardClock) -> tuple[Ar
     if not values:
         return np.zeros((2, 2)), np.zeros(2)
     design, value = np.concatenate(columns), np.concatenate(values)
-    found, *_ = np.linalg.lstsq(design, value, rcond=None)
+    solution, *_ = np.linalg.lstsq(design, value, rcond=None)
     others = design[:, 2:]
     alone = design[:, :2] - others @ np.linalg.lstsq(others, design[:, :2], rcond=None)[0]
-    information = alone.T @ alone / max(float(np.mean((value - design @ found) ** 2)), 1e-12)
-    return information, information @ found[:2]
+    information = alone.T @ alone / max(float(np.mean((value - design @ solution) ** 2)), 1e-12)
+    return information, information @ solution[:2]
 
 
 def _angle(raw: Raw, j: int, clock: BoardClock, at_s: Array) -> Array:
@@ -346,14 +346,14 @@ NO_STAMPS = (
 
 def on_one_clock(arm: Arm, log: Log, run: str | None) -> tuple[Log, tuple[str, ...]]:
     """The log (or one run of it) with the angles, currents and voltages that belong to each row's time, and what was done."""
-    runs = [one for one in log.runs if run is None or one.name == run]
-    raws = [_raw(one, begin_s, arm.joint_count) for one, begin_s in zip(runs, begins_s(runs), strict=True)]
+    runs = [logged for logged in log.runs if run is None or logged.name == run]
+    raws = [_raw(logged, begin_s, arm.joint_count) for logged, begin_s in zip(runs, begins_s(runs), strict=True)]
     stamped = [raw for raw in raws if raw is not None]
     if not stamped or len(stamped) < len(raws):
         return replace(log, runs=tuple(runs)), (NO_STAMPS,)
     clocks = clocks_of(arm, stamped)
     pairs = zip(runs, stamped, strict=True)
-    return replace(log, runs=tuple(_placed(arm, one, raw, clocks) for one, raw in pairs)), clocks.in_words()
+    return replace(log, runs=tuple(_placed(arm, logged, raw, clocks) for logged, raw in pairs)), clocks.in_words()
 
 
 def with_tips(arm: Arm, log: Log, motion: JointMotion, seen_s: Array, tip_m: Array) -> Log:
@@ -381,17 +381,17 @@ def _raw(run: LoggedRun, begin_s: float, joint_count: int) -> Raw | None:
     ahead_s = t_s[:, None] - counted_s
     if not (np.ptp(ahead_s, axis=0) < STRAY_s + DRIFT * np.ptp(t_s)).all():
         return None
-    kept = run.rows(slice(first, None))
+    homed = run.rows(slice(first, None))
     return Raw(
         t_s,
-        kept.q_rad,
-        kept.q_set_rad,
-        kept.current_A,
-        kept.voltage_V,
+        homed.q_rad,
+        homed.q_set_rad,
+        homed.current_A,
+        homed.voltage_V,
         counted_s,
-        kept.tip_m,
-        kept.payload,
-        lead_rad_of(kept, joint_count),
+        homed.tip_m,
+        homed.payload,
+        lead_rad_of(homed, joint_count),
     )
 
 
@@ -405,11 +405,11 @@ def _numbers(texts: Sequence[str]) -> Array:
 
 def _placed(arm: Arm, run: LoggedRun, raw: Raw, clocks: Clocks) -> LoggedRun:
     """The rows of a run that have one before and one after them."""
-    found, kept = aligned(arm, raw, clocks), run.rows(slice(len(run) - len(raw.t_s) + 1, -1))
+    resampled, inner = aligned(arm, raw, clocks), run.rows(slice(len(run) - len(raw.t_s) + 1, -1))
     return replace(
-        kept,
-        q_rad=frozen(found.q_rad),
-        current_A=frozen(found.current_A),
-        voltage_V=frozen(found.voltage_V),
-        tip_m=frozen(found.tip_m),
+        inner,
+        q_rad=frozen(resampled.q_rad),
+        current_A=frozen(resampled.current_A),
+        voltage_V=frozen(resampled.voltage_V),
+        tip_m=frozen(resampled.tip_m),
     )

@@ -237,20 +237,20 @@ class Given:
     encoders: str | None = None  # not asked: motor
 
 
-def ask_shape(given: Given, asker: Asker) -> Shape:
+def ask_shape(options: Given, asker: Asker) -> Shape:
     """Joints, axes and lengths. ArmError if an option is wrong."""
-    joints = _joints(given, asker)
+    joints = _joints(options, asker)
     axes = _answer(
-        given.axes,
+        options.axes,
         asker,
         "Axis of each joint in the stretched pose: z along the arm, y or x across it",
         USUAL_AXES[joints],
         lambda text: axes_from(text, joints),
     )
-    is_of_servos = bool(given.boards) and all(is_servo(kind) for kind in given.boards or ())
+    is_of_servos = bool(options.boards) and all(is_servo(kind) for kind in options.boards or ())
     share = SERVO_SHARE if is_of_servos else 1.0
     lengths = _answer(
-        _joined(given.lengths),
+        _joined(options.lengths),
         asker,
         "Lengths in m: base to joint 2, then joint to joint, last joint to tip",
         " ".join(f"{share * length:.3g}" for length in USUAL_LENGTHS_m[joints]),
@@ -259,45 +259,45 @@ def ask_shape(given: Given, asker: Asker) -> Shape:
     return Shape(axes, lengths, *((SERVO_kg, SERVO_TUBE_kg_m) if is_of_servos else ()))
 
 
-def ask_parts(given: Given, asker: Asker, joints: int) -> ChosenParts:
+def ask_parts(options: Given, asker: Asker, joints: int) -> ChosenParts:
     """Boards, gears, encoders and switches, as far as the boards leave them open. ArmError if an option is wrong."""
     kinds = ", ".join((REFERENCE, *KINDS))
     boards = _answer(
-        _joined(given.boards),
+        _joined(options.boards),
         asker,
         f"Board of each joint, one kind for all or one each ({kinds}: docs/boards.md)",
         REFERENCE,
         lambda text: boards_from(_words(text), joints),
     )
     gears = _answer(
-        _joined(given.gears),
+        _joined(options.gears),
         asker,
         "Motor turns per joint turn, one for all or one each; auto: chosen with the motors to hold the arm",
         "auto",
         lambda text: None if text.strip() == "auto" else gears_from(_words(text), joints),
     )
-    side = encoder_on_from(given.encoders or "motor")
+    side = encoder_on_from(options.encoders or "motor")
     usual = COUNTS_PER_REV if side == "motor" else COUNTS_PER_JOINT_TURN
     counts = _answer_if(
         not all(map(has_own_counts, boards)),
-        _joined(given.counts),
+        _joined(options.counts),
         asker,
         f"Encoder counts per {side} turn after quadrature, one for all or one each",
         str(usual),
         lambda text: counts_from(_words(text), joints),
     )
     index = ", and its encoder an index" if REFERENCE in boards else ""
-    home = _answer_if(any(map(may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", yes_from)
+    home = _answer_if(any(map(may_home, boards)), options.home, asker, f"Has every joint a home switch{index}", "yes", yes_from)
     every_count = counts or (usual,) * joints
-    return ChosenParts(boards, gears, every_count, bool(home), side, *_ask_lines(given, asker, boards))
+    return ChosenParts(boards, gears, every_count, bool(home), side, *_ask_lines(options, asker, boards))
 
 
-def _ask_lines(given: Given, asker: Asker, boards: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, str] | None]:
+def _ask_lines(options: Given, asker: Asker, boards: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, str] | None]:
     """Serial ports and the CAN bus of the boards, as far as they have any."""
     lines = serial_lines(boards)
     ports = _answer_if(
         bool(lines),
-        _joined(given.ports),
+        _joined(options.ports),
         asker,
         f"Serial port{'s' * (len(lines) > 1)} of: {', '.join(lines)}",
         " ".join(usual_ports(len(lines), serial_ports())),
@@ -305,7 +305,7 @@ def _ask_lines(given: Given, asker: Asker, boards: Sequence[str]) -> tuple[tuple
     )
     can = _answer_if(
         any(map(is_on_can, boards)),
-        given.can,
+        options.can,
         asker,
         "CAN bus of the motor boards, as python-can's INTERFACE:CHANNEL",
         CAN,
@@ -314,26 +314,26 @@ def _ask_lines(given: Given, asker: Asker, boards: Sequence[str]) -> tuple[tuple
     return ports or (), can
 
 
-def _joints(given: Given, asker: Asker) -> int:
+def _joints(options: Given, asker: Asker) -> int:
     """As told, or as many as there are letters or lengths."""
-    count = given.joints
-    if count is None and given.axes is not None:
-        count = str(len(given.axes.strip()))
-    if count is None and given.lengths is not None:
-        count = str(len(given.lengths))
+    count = options.joints
+    if count is None and options.axes is not None:
+        count = str(len(options.axes.strip()))
+    if count is None and options.lengths is not None:
+        count = str(len(options.lengths))
     question = f"How many joints turn, {FEWEST} to {MOST}"
     return _answer(count, asker, question, "6", joints_from)
 
 
-def answers_for(serial: SerialArm, name: str, convention: Convention, given: Given, asker: Asker) -> Answers:
+def answers_for(serial: SerialArm, name: str, convention: Convention, options: Given, asker: Asker) -> Answers:
     """Everything else about an arm whose axes are known."""
-    return Answers(name_from(name), convention, ask_parts(given, asker, len(serial.joints)))
+    return Answers(name_from(name), convention, ask_parts(options, asker, len(serial.joints)))
 
 
-def _answer(given: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]) -> T:
+def _answer(value: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]) -> T:
     """The option's answer, whose error ends the command; else the asked one, whose error is said and asked again."""
-    if given is not None:
-        return read(given)
+    if value is not None:
+        return read(value)
     while True:
         try:
             return read(asker.ask(question, default))
@@ -341,12 +341,12 @@ def _answer(given: str | None, asker: Asker, question: str, default: str, read: 
             asker.say(f"  {error}")
 
 
-def _answer_if(is_open: bool, given: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]) -> T | None:
+def _answer_if(is_open: bool, value: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]) -> T | None:
     """As `_answer`; None, and not asked, where the boards leave nothing open. ArmError if it is answered all the same."""
     if is_open:
-        return _answer(given, asker, question, default, read)
-    if given is not None:
-        raise ArmError(f'"{question}" does not arise with these boards: omit the option that says {given}')
+        return _answer(value, asker, question, default, read)
+    if value is not None:
+        raise ArmError(f'"{question}" does not arise with these boards: omit the option that says {value}')
     return None
 
 

@@ -127,10 +127,10 @@ def drives(
 
 
 def _drive(number: int, joint: TreeJoint, load: JointLoad, parts: ChosenParts, rest_rad: float) -> Drive:
-    given = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
+    gear_ratio = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
     kind = parts.boards[number - 1]
     with_gear = SERVOS.get(kind, ())
-    gears = (1.0,) if with_gear else (given,) if given else GEARS
+    gears = (1.0,) if with_gear else (gear_ratio,) if gear_ratio else GEARS
     highest_V = math.inf if kind == REFERENCE else KINDS[kind].highest_supply_V
     motors = with_gear or tuple(motor for motor in MOTORS if motor.supply_V <= highest_V)
     motor, gear = _chosen(joint, load, motors, gears)

@@ -165,7 +165,7 @@ def pair_station(
     hand: PairHand | None = None,
 ) -> PairStation:
     """`speed`: fraction of the joints' limits."""
-    one, two = (cell.placed(name) for name in names)
+    first, second = (cell.placed(name) for name in names)
 
     def together(poses_rad: Poses, fraction: float) -> None:
         moves = {name: {"q_rad": list(q_rad), "speed": speed * fraction} for name, q_rad in zip(names, poses_rad, strict=True)}
@@ -174,10 +174,10 @@ def pair_station(
     return PairStation(
         names,
         (RuntimePort(clients[names[0]], speed), RuntimePort(clients[names[1]], speed)),
-        (ArmGeometry(one.arm), ArmGeometry(two.arm)),
+        (ArmGeometry(first.arm), ArmGeometry(second.arm)),
         together,
-        SharedRoom(cell, (one, two)),
-        ContactWatch((one.arm, two.arm), base_of(cell, names)),
+        SharedRoom(cell, (first, second)),
+        ContactWatch((first.arm, second.arm), base_of(cell, names)),
         hand,
         clock_offset_s=clock_offset_s,
     )

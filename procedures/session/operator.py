@@ -146,13 +146,13 @@ def board_text(state: SessionState, cavities_m: Mapping[str, Vector], setup: str
     shown = {name: cavities_m[name] for name, sign in marks.items() if sign}
     if not shown:
         return f"setup {setup}: this session has no cavities there\n"
-    left, right = min(p[0] for p in shown.values()), max(p[0] for p in shown.values())
-    low, high = min(p[1] for p in shown.values()), max(p[1] for p in shown.values())
-    per_column = max((right - left) / (WIDTH - 1), (high - low) / (2 * (HEIGHT - 1)), 1e-6)
-    rows = round((high - low) / (2 * per_column)) + 1
+    left_m, right_m = min(p[0] for p in shown.values()), max(p[0] for p in shown.values())
+    low_m, high_m = min(p[1] for p in shown.values()), max(p[1] for p in shown.values())
+    per_column = max((right_m - left_m) / (WIDTH - 1), (high_m - low_m) / (2 * (HEIGHT - 1)), 1e-6)
+    rows = round((high_m - low_m) / (2 * per_column)) + 1
     grid = [[" "] * WIDTH for _ in range(rows)]
     for name, (x, y, _) in shown.items():
-        grid[round((high - y) / (2 * per_column))][round((x - left) / per_column)] = marks[name]
+        grid[round((high_m - y) / (2 * per_column))][round((x - left_m) / per_column)] = marks[name]
     drawn = "\n".join("  " + "".join(line).rstrip() for line in grid)
     now = f"; now: {current.name}" if current is not None else ""
     return f"setup {setup}{now}\n{drawn}\n  {LEGEND}\n"
@@ -360,10 +360,10 @@ class SessionOperator:
     def _time_left(self, now_s: float) -> str:
         """How long the rest takes at the pace so far; nothing before the third record."""
         self._times_s.append(now_s)
-        left, paces = len(self._folder.state.left()), len(self._times_s) - 1
-        if paces < 2 or not left:
+        remaining, paces = len(self._folder.state.left()), len(self._times_s) - 1
+        if paces < 2 or not remaining:
             return ""
-        return f"; about {math.ceil((now_s - self._times_s[0]) / paces * left / 60.0)} min left"
+        return f"; about {math.ceil((now_s - self._times_s[0]) / paces * remaining / 60.0)} min left"
 
     def _recorded(self, recorded: Recorded) -> str:
         """The record, the model error, and its agreement with earlier records."""
@@ -435,13 +435,13 @@ class Reporter(SessionOperator):
 
 def board(state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str) -> list[dict[str, object]]:
     """Each cavity of a setup that the session uses: its place on the board and whether it is done."""
-    found: list[dict[str, object]] = []
+    cavities: list[dict[str, object]] = []
     for name, (x, y, _) in cavities_m.items():
         marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}
         if marks:
             mark = "now" if name == now else (marks.pop().value if len(marks) == 1 else "partly")
-            found.append({"name": name, "x_m": x, "y_m": y, "mark": mark})
-    return found
+            cavities.append({"name": name, "x_m": x, "y_m": y, "mark": mark})
+    return cavities
 
 
 def _mm(length_m: float) -> float | None:
@@ -464,10 +464,10 @@ class Interface:
     operator: type[SessionOperator]
 
     @staticmethod
-    def of(given: Namespace) -> Interface:
+    def of(args: Namespace) -> Interface:
         """By the options --json and --replay."""
-        say, operator = (tell, Reporter) if given.json else (_say, SessionOperator)
-        lines = _replayed(Path(given.replay), say) if given.replay else _typed()
+        say, operator = (tell, Reporter) if args.json else (_say, SessionOperator)
+        lines = _replayed(Path(args.replay), say) if args.replay else _typed()
         return Interface(lines, say, operator)
 
     def introduce(self, folder: SessionFolder, how: str) -> None:

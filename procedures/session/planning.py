@@ -31,12 +31,12 @@ PLAN = TableFormat(
 )
 
 
-def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
+def plan_from_options(args: argparse.Namespace, arm: Arm) -> SessionPlan | None:
     """The plan of the options; None if none is given, which resumes the session."""
-    if all(getattr(given, name) is None for name in OPTIONS) and (Path(given.out) / "session.json").exists():
+    if all(getattr(args, name) is None for name in OPTIONS) and (Path(args.out) / "session.json").exists():
         return None
-    targets = _from_file(Path(given.plan), given, arm) if given.plan else _from_options(given, arm)
-    payload_kg = given.payload if given.payload is not None else 0.0
+    targets = _from_file(Path(args.plan), args, arm) if args.plan else _from_options(args, arm)
+    payload_kg = args.payload if args.payload is not None else 0.0
     if not (math.isfinite(payload_kg) and 0.0 <= payload_kg <= 100.0):
         raise SessionError(f"--payload: expected 0 to 100 kg, got {payload_kg:g}")
     return SessionPlan(
@@ -44,12 +44,12 @@ def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None
         fingerprint(arm),
         arm.joint_count,
         targets,
-        given.board or _board_of(arm.table),
-        given.seat or "hand",
-        bool(given.camera),
+        args.board or _board_of(arm.table),
+        args.seat or "hand",
+        bool(args.camera),
         payload_kg,
-        _pose_frame(arm.camera) if given.camera else "",
-        bool(given.pictures),
+        _pose_frame(arm.camera) if args.camera else "",
+        bool(args.pictures),
     )
 
 
@@ -64,49 +64,49 @@ def _board_of(table: Table | None) -> Board:
     return "known" if table is None or (table.known_pose and table.origin_m is not None) else "unknown"
 
 
-def _from_options(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
-    free = _free(given, arm)
-    sees_no_board = given.pictures or arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
-    if sees_no_board and free and given.setups is None and given.points is None:
+def _from_options(args: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
+    free = _free(args, arm)
+    sees_no_board = args.pictures or arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
+    if sees_no_board and free and args.setups is None and args.points is None:
         return free
     table = tables.table_of(arm)
-    setups = _names(given.setups) if given.setups is not None else _setups_of(table)
+    setups = _names(args.setups) if args.setups is not None else _setups_of(table)
     cavities = tables.board_cavities(table)
-    points = _points(given.points, list(cavities)) if given.points is not None else list(cavities)
-    repeats, approaches = _positive(given.repeats, "--repeats"), _positive(given.approaches, "--approaches")
+    points = _points(args.points, list(cavities)) if args.points is not None else list(cavities)
+    repeats, approaches = _positive(args.repeats, "--repeats"), _positive(args.approaches, "--approaches")
     return (*board_targets(setups, points, repeats, approaches), *free)
 
 
-def _free(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
+def _free(args: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
     """Free poses: a number of them, or a file."""
-    if given.free is None:
+    if args.free is None:
         return ()
-    if given.free.isdecimal():
-        count = int(given.free)
+    if args.free.isdecimal():
+        count = int(args.free)
         if not 1 <= count <= MOST_FREE:
             raise SessionError(f"--free: expected 1 to {MOST_FREE} poses or a file, got {count}")
-        poses = chosen_free_poses(arm, count, _seen_rad(given, arm))
+        poses = chosen_free_poses(arm, count, _seen_rad(args, arm))
     else:
-        poses = read_free_poses(Path(given.free), arm.joint_count)
+        poses = read_free_poses(Path(args.free), arm.joint_count)
         for name, q_rad in poses.items():
-            _require_inside(f"{given.free}, pose {name}", arm, q_rad)
-    return free_targets(poses, _positive(given.repeats, "--repeats"))
+            _require_inside(f"{args.free}, pose {name}", arm, q_rad)
+    return free_targets(poses, _positive(args.repeats, "--repeats"))
 
 
-def _seen_rad(given: argparse.Namespace, arm: Arm) -> list[float] | None:
+def _seen_rad(args: argparse.Namespace, arm: Arm) -> list[float] | None:
     """The pose of --seen."""
-    if given.seen is None:
+    if args.seen is None:
         return None
-    if len(given.seen) != arm.joint_count:
-        raise SessionError(f"--seen: expected {arm.joint_count} joint angles in rad (`armwright status`), got {len(given.seen)}")
-    _require_inside("--seen", arm, given.seen)
-    return list(given.seen)
+    if len(args.seen) != arm.joint_count:
+        raise SessionError(f"--seen: expected {arm.joint_count} joint angles in rad (`armwright status`), got {len(args.seen)}")
+    _require_inside("--seen", arm, args.seen)
+    return list(args.seen)
 
 
-def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
+def _from_file(path: Path, args: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
     """Rows of setup and point, in the file's order; q1_rad ... where a free pose goes, or the posture for a cavity."""
     for name in ("setups", "points", "free", "repeats", "approaches"):
-        if getattr(given, name) is not None:
+        if getattr(args, name) is not None:
             raise SessionError(f"--plan sets the points and repeats: omit --{name}")
     table = read_table(path, PLAN, SessionError, arm.joint_count)
     repeats = np.nan_to_num(table.number("repeat"), nan=1.0).astype(int).tolist()

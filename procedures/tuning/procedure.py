@@ -101,13 +101,13 @@ class _Chosen:
     inertia_ratios: tuple[float, ...]
     cautions: tuple[str, ...]
 
-    def slower(self, joint: int, found: Margins) -> _Chosen:
+    def slower(self, joint: int, measured: Margins) -> _Chosen:
         """The next design, after the arm itself had these margins."""
         before = self.design.here.crossover_rad_s
         design = _rounded(self.tuner, self.tuner.design_at(SHYNESS * self.design.pole_rad_s))
         caution = (
-            f"joint {joint}: gains for {_hertz(before)} gave {found.gain_dB:.1f} dB and {found.phase_deg:.0f} deg on the arm,"
-            f" so it was tuned to {_hertz(design.here.crossover_rad_s)}"
+            f"joint {joint}: gains for {_hertz(before)} gave {measured.gain_dB:.1f} dB and {measured.phase_deg:.0f} deg on the"
+            f" arm, so it was tuned to {_hertz(design.here.crossover_rad_s)}"
         )
         return replace(self, design=design, cautions=(*self.cautions, caution))
 
@@ -139,19 +139,19 @@ def tune(arm: Arm, clock: Clock, options: TuningOptions, advance: Advance) -> Tu
             before[joint], fitted = _try(session, measuring, joint, options)
             chosen[joint] = _designed(measuring, joint, before[joint], fitted, options, pose)
     for _ in range(TRIALS):
-        tuned = with_gains(arm, {joint: one.design.gains for joint, one in chosen.items()})
-        after = _tried(in_voltage_mode(tuned), clock, options, pose, advance)
+        tuned_arm = with_gains(arm, {joint: choice.design.gains for joint, choice in chosen.items()})
+        after = _tried(in_voltage_mode(tuned_arm), clock, options, pose, advance)
         short = [joint for joint in options.joints if not _is_met(after[joint].margins)]
         if not short or options.bandwidth_Hz is not None:
             break
         for joint in short:
             chosen[joint] = chosen[joint].slower(joint, after[joint].margins)
-    joints = []
+    tuned = []
     for joint in options.joints:
-        one = chosen[joint]
+        choice = chosen[joint]
         _require_margins(joint, after[joint])
-        joints.append(Tuned(joint, one.fit, one.design, one.inertia_ratios, before[joint], after[joint], one.cautions))
-    return TuningResult(tuned, tuple(joints))
+        tuned.append(Tuned(joint, choice.fit, choice.design, choice.inertia_ratios, before[joint], after[joint], choice.cautions))
+    return TuningResult(tuned_arm, tuple(tuned))
 
 
 def _tried(arm: Arm, clock: Clock, options: TuningOptions, pose: tuple[float, ...], advance: Advance) -> dict[int, Trial]:
@@ -329,8 +329,8 @@ def with_gains(arm: Arm, gains: dict[int, Gains]) -> Arm:
     return replace(arm, drives=tuple(drives))
 
 
-def _is_met(found: Margins) -> bool:
-    return found.meet(LEAST_GAIN_dB, LEAST_PHASE_deg)
+def _is_met(measured: Margins) -> bool:
+    return measured.meet(LEAST_GAIN_dB, LEAST_PHASE_deg)
 
 
 def _require_margins(joint: int, after: Trial) -> None:
@@ -394,25 +394,25 @@ def rows(tuned: Tuned) -> list[tuple[str, ...]]:
 
 
 def _row(joint: int, name: str, trial: Trial) -> tuple[str, ...]:
-    found = trial.margins
+    measured = trial.margins
     return (
         str(joint) if name == "before" else "",
         name,
         f"{trial.gains.kp:.1f}",
         f"{trial.gains.ki:.0f}",
         f"{trial.gains.kd:.3f}",
-        *_measured(found),
+        *_measured(measured),
         f"{trial.step.overshoot:.0%}",
         f"{1e3 * trial.step.settling_s:.0f} ms",
         f"{1e3 * trial.move.peak_error_rad:.2f} mrad",
     )
 
 
-def _measured(found: Margins) -> tuple[str, str, str]:
+def _measured(measured: Margins) -> tuple[str, str, str]:
     """Margins and crossover, if that is among the measured frequencies."""
-    if math.isnan(found.phase_deg):
+    if math.isnan(measured.phase_deg):
         return "", "", f"below {LOWEST_Hz:g} Hz"
-    return (_dB(found.gain_dB), f"{found.phase_deg:.0f} deg", f"{found.crossover_rad_s / (2 * math.pi):.1f} Hz")
+    return (_dB(measured.gain_dB), f"{measured.phase_deg:.0f} deg", f"{measured.crossover_rad_s / (2 * math.pi):.1f} Hz")
 
 
 def _dB(value: float) -> str:

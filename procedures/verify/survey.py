@@ -441,10 +441,10 @@ class Survey:
 def compared(programme: Programme, before: Points, after: Points) -> Comparison:
     """Errors (measured minus target) at every place, by both models."""
     wanted = {(place.setup, place.point): place.tip_m for place in programme.places}
-    found = [_by_key(points) for points in (before, after)]
-    keys = [key for key in found[0] if key in found[1]]
+    by_model = [_by_key(points) for points in (before, after)]
+    keys = [key for key in by_model[0] if key in by_model[1]]
     tips = np.array([wanted[setup, point] for setup, point, _ in keys])
-    errors = [np.array([measured[key] for key in keys]) - tips for measured in found]
+    errors = [np.array([measured[key] for key in keys]) - tips for measured in by_model]
     return compare_repeated([key[0] for key in keys], [key[1] for key in keys], tips, *errors)
 
 
