@@ -52,9 +52,9 @@ class Gram:
     left: float
     freedom: float
 
-    def among(self, rows: Places, columns: Places, kappa: float = 1.0) -> Array:
+    def among(self, rows: Places, columns: Places | slice, kappa: float = 1.0) -> Array:
         """G of some columns with others, by tips whose noise is `kappa` times the floor and by currents; of all it is large."""
-        across = np.ix_(rows, columns)
+        across = (rows, columns) if isinstance(columns, slice) else np.ix_(rows, columns)
         return np.asarray(self.tip[across] / kappa**2 + self.current[across])
 
     def of(self, at: Places) -> Gram:
@@ -62,24 +62,24 @@ class Gram:
         tip, current = (own[np.ix_(at, at)] for own in (self.tip, self.current))
         return Gram(tip, self.pull[at], current, self.current_pull[at], self.left, self.freedom)
 
-    def drawn(self, at: Places, kappa: float = 1.0) -> Array:
+    def drawn(self, at: Places | slice, kappa: float = 1.0) -> Array:
         """The same of h."""
         return np.asarray(self.pull[at] / kappa**2 + self.current_pull[at])
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Terms that have the same counts of columns and scales: places (t, c), sd (t, h, c), log weights (t, h)."""
+    """Terms that have the same scales, sd (h, c): places (t, c), log weights (t, h), what a coefficient lies between (t, 1)."""
 
     numbers: Array
     places: Array
     sd: Array
     weight: Array
     laws: int
-    is_positive: Array
+    is_positive: bool
     least: Array
     most: Array
-    is_name: Array
+    is_name: bool
     tip: Array
     current: Array
 
@@ -97,33 +97,38 @@ class Evidence:
         self.scales = [one.scales() for one in terms]
         share = [math.log(len(self.of_key[one.key])) for one in terms]
         self.weights = [logs - own for (_, logs), own in zip(self.scales, share, strict=True)]
-        self._asked: dict[Key | None, tuple[list[Batch], Places]] = {None: self._batched(range(len(terms)))}
+        self._starts = np.cumsum([0, *(len(numbers) for numbers in self.of_key.values())])
+        self._by_key = np.concatenate([np.zeros(0, np.intp), *self.of_key.values()]).astype(np.intp)
+        self._odds = np.array([terms[numbers[0]].log_odds for numbers in self.of_key.values()])
+        self._asked: dict[Key | None, tuple[list[Batch], Places | slice]] = {
+            None: (self._batched(range(len(terms)))[0], slice(None))
+        }
         self._asked |= {key: self._batched(numbers) for key, numbers in self.of_key.items()}
 
     def _batched(self, numbers: Sequence[int]) -> tuple[list[Batch], Places]:
         """Batches of some terms, and the columns that they need; places in a batch count within these."""
-        groups: dict[tuple[int, int, int], list[int]] = {}
+        groups: dict[object, list[int]] = {}
         for k in numbers:
-            sd = self.scales[k][0]
-            groups.setdefault((*sd.shape, self.terms[k].laws), []).append(k)
+            one, sd = self.terms[k], self.scales[k][0]
+            groups.setdefault((sd.shape, sd.tobytes(), one.laws, one.is_positive, one.is_name), []).append(k)
         some = np.concatenate([self.places[k] for k in numbers])
         within = np.zeros(int(some.max()) + 1, dtype=int)
         within[some] = np.arange(len(some))
-        return [self._batch(own, laws, within) for (_, _, laws), own in groups.items()], some
+        return [self._batch(own, within) for own in groups.values()], some
 
-    def _batch(self, own: list[int], laws: int, within: Array) -> Batch:
-        places = np.array([self.places[k] for k in own])
+    def _batch(self, own: list[int], within: Array) -> Batch:
+        places, one = np.array([self.places[k] for k in own]), self.terms[own[0]]
         across = places[:, :, None], places[:, None, :]
         return Batch(
             np.array(own),
             within[places],
-            np.array([self.scales[k][0] for k in own]),
+            self.scales[own[0]][0],
             np.array([self.weights[k] for k in own]),
-            laws,
-            np.array([self.terms[k].is_positive for k in own]),
-            np.array([self.terms[k].least for k in own]),
-            np.array([self.terms[k].most for k in own]),
-            np.array([self.terms[k].is_name for k in own]),
+            one.laws,
+            one.is_positive,
+            np.array([[self.terms[k].least] for k in own]),
+            np.array([[self.terms[k].most] for k in own]),
+            one.is_name,
             self.gram.tip[across],
             self.gram.current[across],
         )
@@ -139,51 +144,59 @@ class Evidence:
         """Cholesky factor of I + V^1/2 G V^1/2."""
         return np.asarray(np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd))
 
-    def taken(self, at: Places, sd: Array, some: Places, kappa: float) -> Array:
+    def taken(self, at: Places, sd: Array, some: Places | slice, kappa: float) -> Array:
         """What columns at places (k,) of prior deviations (k,) take of G and h of some others, (k, p + 1): T with T'T of it.
 
         Schur's complement, which is what they leave, is G - T'T and h - T't, t the last column.
         """
         if not len(at):
-            return np.zeros((0, len(some) + 1))
-        both = np.column_stack((self.gram.among(at, some, kappa), self.gram.drawn(at, kappa)))
-        return np.asarray(np.linalg.inv(self._inner(at, sd, kappa)) @ (sd[:, None] * both))
+            return np.zeros((0, len(self.gram.pull[some]) + 1))
+        half = np.linalg.inv(self._inner(at, sd, kappa)) * sd
+        return np.column_stack((half @ self.gram.among(at, some, kappa), half @ self.gram.drawn(at, kappa)))
 
     def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
         """What every term (or only those of a key) would add to a set."""
         at, sd = self._columns(members)
         batches, some = self._asked[key]
         both = self.taken(at, sd, some, kappa)
-        taken, pull = both[:, :-1], self.gram.drawn(some, kappa) - both[:, :-1].T @ both[:, -1]
+        taken = np.ascontiguousarray(both[:, :-1].T)
+        pull = self.gram.drawn(some, kappa) - taken @ both[:, -1]
         found = [self._of_batch(batch, taken, pull, kappa) for batch in batches]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
+
+    def gains(self, added: Added) -> list[float]:
+        """What each key, in the order of `of_key`, adds to the log posterior: its prior and all of its variants."""
+        log = added.log[self._by_key]
+        top = np.maximum.reduceat(log, self._starts[:-1])
+        spread = np.add.reduceat(np.exp(log - np.repeat(top, np.diff(self._starts))), self._starts[:-1])
+        found: list[float] = (top + np.log(spread) + self._odds).tolist()
+        return found
 
     def _of_batch(self, batch: Batch, taken: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array]:
         """Log evidence that each term adds, the best of its scales, and how much that one alone adds."""
         seen = batch.tip / kappa**2 + batch.current
-        if len(taken):
-            own = taken[:, batch.places]  # (k, t, c)
-            seen = seen - np.einsum("ktc,ktd->tcd", own, own)
+        if taken.size:
+            own = taken[batch.places]  # (t, c, k)
+            seen -= own @ own.transpose(0, 2, 1)
         sd = batch.sd
-        whole = np.eye(sd.shape[2]) + sd[..., :, None] * seen[:, None] * sd[..., None, :]
-        drawn = sd * pull[batch.places][:, None, :]
-        inverse = np.linalg.inv(whole)
+        whole = np.eye(sd.shape[1]) + seen[:, None] * (sd[:, :, None] * sd[:, None, :])
+        drawn = pull[batch.places][:, None, :] * sd
+        if sd.shape[1] == 1:  # most blocks
+            inverse, spread = 1.0 / whole, np.log(whole[..., 0, 0])
+        else:
+            inverse, spread = np.asarray(np.linalg.inv(whole)), np.linalg.slogdet(whole)[1]
         size = (inverse @ drawn[..., None])[..., 0]
-        log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * np.linalg.slogdet(whole)[1] + batch.weight
+        log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * spread + batch.weight
         width = np.sqrt(inverse[..., 0, 0])
         # sizes are counted in sd here; a departure is a share of the law: without the law there is none
-        departs = np.any(sd[..., batch.laws :] > 0.0, axis=2) & batch.is_name[:, None]
-        least = np.where(departs, LAW_LEAST, -np.inf)
+        least = np.where(np.any(sd[:, batch.laws :] > 0.0, axis=1) & batch.is_name, LAW_LEAST, -np.inf)
         law = np.linalg.norm(size[..., : batch.laws], axis=2)
-        if batch.is_positive.any():
-            ones, own, most = batch.is_positive[:, None], size[..., 0], batch.most[:, None] / sd[..., 0]
-            law = np.where(ones, own, law)
-            own_least = batch.least[:, None] / sd[..., 0]
-            least = np.where(ones, np.maximum(least, own_least), least)
+        if batch.is_positive:
+            law, own_least, most = size[..., 0], batch.least / sd[:, 0], batch.most / sd[:, 0]
+            least = np.maximum(least, own_least)
             # what is known to be positive is so with twice the density; a secant says nothing beyond its reach
-            is_beyond = np.isfinite(most) & ((own <= own_least) | (own >= most))
-            inside = math.log(2.0) + log_ndtr((most - own) / width) + np.where(is_beyond, NEVER, 0.0)
-            log = log + np.where(ones, inside, 0.0)
+            is_beyond = np.isfinite(most) & ((law <= own_least) | (law >= most))
+            log = log + math.log(2.0) + log_ndtr((most - law) / width) + np.where(is_beyond, NEVER, 0.0)
         log = log + log_ndtr((law - least) / width)
         best = np.argmax(log, axis=1)
         top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]

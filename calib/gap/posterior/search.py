@@ -11,7 +11,6 @@ once from the Schur complement of `Evidence.added`, so that only the few that ad
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Collection, Iterable, Sequence
 from itertools import combinations
 
@@ -131,19 +130,20 @@ class Search:
         self, members: Sequence[Member], kappa: float, width: int, but: Key | None = None, least: float = GAIN_LEAST
     ) -> None:
         added, present = self.evidence.added(members, kappa), self.keys(members)
-        gains: list[tuple[float, int]] = []
         blocks_count = sum(not isinstance(key, EffectName) for key in present)
-        for key, numbers in self.evidence.of_key.items():
-            if key not in present and key != but and self.may_join(key, present):
-                own = added.log[numbers]
-                top = int(np.argmax(own))
-                gain = float(own[top] + math.log(np.sum(np.exp(own - own[top]))))
-                gains.append((gain + self.evidence.terms[numbers[0]].log_odds, numbers[top]))
+        gains = {
+            key: gain
+            for key, gain in zip(self.evidence.of_key, self.evidence.gains(added), strict=True)
+            if key not in present and key != but and self.may_join(key, present)
+        }
         if blocks_count >= BLOCKS_MOST:  # no further name where a block would explain more
-            blocks = [gain for gain, number in gains if not self.evidence.terms[number].is_name]
+            blocks = [gain for key, gain in gains.items() if not isinstance(key, EffectName)]
             least = max(least, *blocks) if blocks else least
-        for gain, number in heapq.nlargest(width, gains):
-            if gain > least:
+        of_key = self.evidence.of_key
+        for key in heapq.nlargest(width, gains, lambda key: (gains[key], of_key[key])):
+            if gains[key] > least:
+                numbers = of_key[key]
+                number = numbers[int(np.argmax(added.log[numbers]))]
                 self.weigh([*members, (number, int(added.best[number]))])
 
     def weigh(self, members: Sequence[Member]) -> Weighed:
