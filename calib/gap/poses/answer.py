@@ -62,8 +62,8 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
     beside = _open_members(around, decision)
     decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
-    last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
-    lefts = [one.fit.left() for one in files]
+    last, given = files[-1], placed(looked.arm, points, parts.known)
+    nominal, lefts = given.left(), [one.fit.left() for one in files]
     gaps = [left.times(floor.tip_m, floor.turn_rad, parts.report) for left in lefts]
     effects = [
         _named(around, decision, last, name, estimates[name], gap)
@@ -72,6 +72,9 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
     as_given, refitted = (_square(left, floor, parts.known) for left in (nominal, lefts[0]))
     if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].found.rank):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
+    if not effects and not last.arm.maps:
+        # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
+        last, lefts = dataclasses.replace(last, arm=looked.arm, fit=given), [nominal]
     finding = _finding(around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]))
     corrected = {one.joint for one in last.arm.maps}
     held = (*decision.names, *(name for name in beside if name.joint in corrected))

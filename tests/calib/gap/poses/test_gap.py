@@ -61,6 +61,16 @@ def test_with_nothing_hidden_nothing_is_named(seed) -> None:
     assert found.finding.gap_after < 1.1
 
 
+def test_an_arm_of_which_nothing_is_named_stays_as_it_was_given() -> None:
+    """A geometry that was calibrated with these poses and others is not fitted again to the four fifths that decide."""
+    points = case(0)
+    improved = find(ARM, points).file
+    again = find(improved, points)
+    assert again.finding.effects == ()
+    assert again.file == again.arm
+    assert again.finding.gap_after == again.finding.gap_before
+
+
 @pytest.mark.parametrize("hidden", third_of([HIDDEN[0], HIDDEN[2], HIDDEN[4]]), ids=lambda one: f"{one.effect}{one.joint or ''}")
 def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(hidden) -> None:
     found = find(ARM, case(11, (hidden,)), without=(hidden.effect,))
