@@ -191,16 +191,16 @@ class Discrepancy:
 
     def _gears(self, at: Conditions) -> tuple[Array, Array]:
         """Gravity torque over the largest, and the mean of the gear's flank, (m, n) each."""
-        found = self._at_rest(at)
-        if found is None:
+        gears = self._at_rest(at)
+        if gears is None:
             return np.zeros(at.q_rad.shape), np.sign(at.direction)
-        flank = found.expected() if at.flank is None else at.flank
-        return self._loads(found), flank
+        flank = gears.expected() if at.flank is None else at.flank
+        return self._loads(gears), flank
 
-    def _loads(self, found: Gears) -> Array:
+    def _loads(self, gears: Gears) -> Array:
         """Gravity torque over the largest (m, n), 0 of an upright axis."""
         largest_Nm = np.zeros(len(self._travel)) if self._load_Nm is None else self._load_Nm
-        return np.asarray(found.state.gravity_Nm / np.where(largest_Nm > 0.0, largest_Nm, np.inf))
+        return np.asarray(gears.state.gravity_Nm / np.where(largest_Nm > 0.0, largest_Nm, np.inf))
 
     def _at_rest(self, at: Conditions) -> Gears | None:
         """The state of the gears; None without masses."""
@@ -212,9 +212,9 @@ class Discrepancy:
 
     def knowing(self, odds: Array) -> Discrepancy:
         """The same with these odds (n, SHARES) of each joint's share of friction on the link's side."""
-        other = copy.copy(self)
-        other.odds = odds
-        return other
+        discrepancy = copy.copy(self)
+        discrepancy.odds = odds
+        return discrepancy
 
     def by_play(self, at: Conditions, dh: Array, tool_m: Array) -> Array:
         """The tip's displacement [m] by each joint's play, (m, 3, n)."""
@@ -226,24 +226,24 @@ class Discrepancy:
 
     def weighed(self, at: Conditions, left_m: Array, moves_m: Array, noise_m: float) -> tuple[Array, Array | None]:
         """Odds (n, SHARES) and flanks (m, n) by what is left (m, 3) at poses where play moves the tip by moves_m (m, 3, n)."""
-        found = self._at_rest(at)
-        if found is None:
+        gears = self._at_rest(at)
+        if gears is None:
             return self.odds, None
-        mean = found.expected() if at.flank is None else at.flank
-        here_m = np.einsum("mij,mj->mi", moves_m, found.is_open * mean)
-        return found.weighed(left_m + here_m, moves_m, mean, noise_m)
+        mean = gears.expected() if at.flank is None else at.flank
+        here_m = np.einsum("mij,mj->mi", moves_m, gears.is_open * mean)
+        return gears.weighed(left_m + here_m, moves_m, mean, noise_m)
 
     def strayed(self, at: Conditions, count: int, rng: np.random.Generator) -> Array:
         """Draws of each gear's place between its flanks, -1 .. 1, beyond the mean, (count, m, n)."""
-        found = self._at_rest(at)
-        if found is None:
+        gears = self._at_rest(at)
+        if gears is None:
             return np.where(at.direction == 0.0, rng.uniform(-1.0, 1.0, (count, *at.q_rad.shape)), 0.0)
-        return found.drawn(count, rng) - found.expected()
+        return gears.drawn(count, rng) - gears.expected()
 
     def plays_rad(self, at: Conditions, weights: Array) -> Array:
         """Half the play of each joint at poses (..., m, n), by weights (..., columns) of the columns."""
-        found = self._at_rest(at)
-        load = np.zeros(at.q_rad.shape) if found is None else self._loads(found)
+        gears = self._at_rest(at)
+        load = np.zeros(at.q_rad.shape) if gears is None else self._loads(gears)
         named = zip(self.sources, self.slices, strict=True)
         parts = [part for source, part in named if source.follows == "direction"]
         widths = [weights[..., part] @ _play(at.q_rad[:, j], load[:, j]).T for j, part in enumerate(parts)]

@@ -74,24 +74,24 @@ def posterior_of(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, 
             design, wanted = _weighted(design, wanted, np.exp(-2.0 * logs[0]) * loose_m2)
         evidence = SizeEvidence(design[rows], wanted[rows], variance, discrepancy)
         logs = evidence.best(logs)
-        found = evidence.posterior(logs)
-        x = np.clip(found.x, -1.0 * _limits(problem), _limits(problem))
-        odds, flank = _weighed(problem, at, discrepancy, found, rows)
+        posterior = evidence.posterior(logs)
+        x = np.clip(posterior.x, -1.0 * _limits(problem), _limits(problem))
+        odds, flank = _weighed(problem, at, discrepancy, posterior, rows)
         discrepancy, at = discrepancy.knowing(odds), replace(at, flank=flank)
-        loose_m2 = loose_play_m2(discrepancy, at, problem.solution(x), found)
-    return evidence.over_sizes(found)
+        loose_m2 = loose_play_m2(discrepancy, at, problem.solution(x), posterior)
+    return evidence.over_sizes(posterior)
 
 
 def _weighed(
-    problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, found: Posterior, rows: Mask
+    problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, posterior: Posterior, rows: Mask
 ) -> tuple[Array, Array | None]:
     """What the rows say about the shares of friction, and about their own flanks, given the play that the posterior expects."""
-    design, wanted = linearised(problem, at, discrepancy, found.x)
-    solved = problem.solution(found.x)
-    plays = discrepancy.plays_rad(at, found.mean[found.x_count :])
+    design, wanted = linearised(problem, at, discrepancy, posterior.x)
+    solved = problem.solution(posterior.x)
+    plays = discrepancy.plays_rad(at, posterior.mean[posterior.x_count :])
     moves_m = discrepancy.by_play(at, solved.dh, solved.tool_m) * plays[:, None, :]
-    left_m = design @ found.mean - wanted
-    return discrepancy.weighed(at, left_m * rows[:, None], moves_m * rows[:, None, None], found.noise_m)
+    left_m = design @ posterior.mean - wanted
+    return discrepancy.weighed(at, left_m * rows[:, None], moves_m * rows[:, None, None], posterior.noise_m)
 
 
 def linearised(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, x: Array) -> tuple[Array, Array]:
@@ -102,9 +102,9 @@ def linearised(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, x:
     return np.concatenate((jacobian, -columns), axis=2), np.asarray(jacobian @ x - residuals)
 
 
-def loose_play_m2(discrepancy: Discrepancy, at: Conditions, solved: ModelValues, found: Posterior) -> Array:
+def loose_play_m2(discrepancy: Discrepancy, at: Conditions, solved: ModelValues, posterior: Posterior) -> Array:
     """Covariance of the tip (m, 3, 3) by gears that lie anywhere in their play."""
-    plays = discrepancy.plays_rad(at, found.mean[found.x_count :])
+    plays = discrepancy.plays_rad(at, posterior.mean[posterior.x_count :])
     moves = discrepancy.unclear(at, solved.dh, solved.tool_m) * plays[:, None, :]
     return np.asarray(np.einsum("mij,mkj->mik", moves, moves))
 
@@ -146,7 +146,7 @@ class SizeEvidence:
         sizes = np.exp(logs)
         return Posterior(mean, covariance, len(self._x_precision), float(sizes[0]), sizes[1:], self._odds)
 
-    def over_sizes(self, found: Posterior) -> Posterior:
+    def over_sizes(self, posterior: Posterior) -> Posterior:
         """The same, averaged over what the poses leave open of each source's size, the others at their most probable ones.
 
         The most probable size of a source that the poses hardly show is far below what it may be, which matters where they did
@@ -155,11 +155,11 @@ class SizeEvidence:
         log det(1 + d C_ff) + n log(size^2 ratio) + m_f' M m_f. The mean of these normal distributions over a grid of sizes is
         matched by its first two moments; no covariance becomes smaller by it.
         """
-        mean, covariance = found.mean.copy(), found.covariance.copy()
-        logs = np.log(np.concatenate(([found.noise_m], found.sizes)))
+        mean, covariance = posterior.mean.copy(), posterior.covariance.copy()
+        logs = np.log(np.concatenate(([posterior.noise_m], posterior.sizes)))
         for k, part in enumerate(self._slices, start=1):
-            rows = slice(part.start + found.x_count, part.stop + found.x_count)
-            here, weights = found.covariance[rows, rows], found.mean[rows]
+            rows = slice(part.start + posterior.x_count, part.stop + posterior.x_count)
+            here, weights = posterior.covariance[rows, rows], posterior.mean[rows]
             grid = np.clip(SIZES + logs[k], self._usual[k] - SIZE_LIMIT, self._usual[k] + SIZE_LIMIT)
             steps, odds = [], []
             for size in grid:
@@ -176,10 +176,10 @@ class SizeEvidence:
             off = np.array([(step - usual) @ weights for step in steps])
             more = np.einsum("g,gi,gj->ij", share, off, off) - usual
             values, vectors = np.linalg.eigh(0.5 * (more + more.T))
-            wider = found.covariance[:, rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+            wider = posterior.covariance[:, rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
             covariance += wider @ wider.T
-            mean -= found.covariance[:, rows] @ usual @ weights
-        return replace(found, mean=mean, covariance=covariance)
+            mean -= posterior.covariance[:, rows] @ usual @ weights
+        return replace(posterior, mean=mean, covariance=covariance)
 
     def _solved(self, logs: Array) -> tuple[Array, Array, float]:
         """Mean, covariance, log determinant of the precision."""
@@ -201,18 +201,18 @@ class SizeEvidence:
         squares = np.array([float(weights[s] @ weights[s]) for s in self._slices])
         traces = np.array([float(variances[s].sum()) for s in self._slices])
         sizes = np.exp(2.0 * logs[1:])
-        left = max(self._power - 2.0 * float(mean @ self._moment) + float(mean @ self._gram @ mean), 0.0)
+        misfit = max(self._power - 2.0 * float(mean @ self._moment) + float(mean @ self._gram @ mean), 0.0)
         off = (logs - self._usual) / self._spread
         prior = float(self._x_precision @ mean[:x_count] ** 2) + float((squares / sizes).sum())
         value = 0.5 * (
-            left / noise
+            misfit / noise
             + prior
             + determinant
             + 2.0 * self._count * logs[0]
             + 2.0 * float(self._widths @ logs[1:])
             + float(off @ off)
         )
-        by_noise = self._count - (left + float(np.sum(self._gram * covariance))) / noise
+        by_noise = self._count - (misfit + float(np.sum(self._gram * covariance))) / noise
         by_size = self._widths - (squares + traces) / sizes
         return value, np.concatenate(([by_noise], by_size)) + off / self._spread
 

@@ -52,18 +52,18 @@ def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path, see
     """Of every pose of the plain programmes in points.csv of `armwright iso9283`."""
     groups, _ = pose_groups(points, arm, path)
     keys = list(zip(points.setup, points.point, strict=True))
-    found = []
+    figures = []
     for group in groups:
         if not is_pose_setup(group.setup):
             continue
         rows = [k for k, key in enumerate(keys) if key == (group.setup, group.point)]
-        some = points.chosen(rows)
-        at = Conditions.recorded(arm, some)
+        visits = points.chosen(rows)
+        at = Conditions.recorded(arm, visits)
         bent = known_bending(arm, at.q_rad, at.payload_kg)
         wanted = group.commanded_m - (0.0 if bent is None else bent.shift)
         off = _drawn(predictor, at, wanted, seed)
         attained, n = group.attained_m, len(group.attained_m)
-        found.append(
+        figures.append(
             PoseFigures(
                 f"{group.setup} {group.point}",
                 len(rows),
@@ -73,7 +73,7 @@ def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path, see
                 pose.pose_repeatability(attained).total_m if n > 1 else None,
             )
         )
-    return tuple(found)
+    return tuple(figures)
 
 
 def _drawn(predictor: Predictor, at: Conditions, commanded_m: Array, seed: int) -> Array:
@@ -100,27 +100,27 @@ def _figure(drawn: Array) -> IntervalFigure:
     return IntervalFigure(middle, lower, upper)
 
 
-def pose_rows(found: Sequence[PoseFigures]) -> list[tuple[str, ...]]:
+def pose_rows(figures: Sequence[PoseFigures]) -> list[tuple[str, ...]]:
     """Cells [mm] of a table: pose, visits, AP_p predicted and measured, RP_l predicted and measured."""
     return [
         (
-            one.where,
-            f"{one.visits}",
-            _interval(one.accuracy_m),
-            _cell_mm(one.measured_accuracy_m),
-            _interval(one.repeatability_m),
-            _cell_mm(one.measured_repeatability_m),
+            figure.where,
+            f"{figure.visits}",
+            _interval(figure.accuracy_m),
+            _cell_mm(figure.measured_accuracy_m),
+            _interval(figure.repeatability_m),
+            _cell_mm(figure.measured_repeatability_m),
         )
-        for one in found
+        for figure in figures
     ]
 
 
-def pose_json(found: Sequence[PoseFigures]) -> list[dict[str, object]]:
+def pose_json(figures: Sequence[PoseFigures]) -> list[dict[str, object]]:
     """For programs; SI."""
     return [
         {
-            "where": one.where,
-            "visits": one.visits,
+            "where": figure.where,
+            "visits": figure.visits,
             **{
                 name: {
                     "predicted": predicted and predicted.value,
@@ -129,12 +129,12 @@ def pose_json(found: Sequence[PoseFigures]) -> list[dict[str, object]]:
                     "measured": measured,
                 }
                 for name, predicted, measured in (
-                    ("AP_p_m", one.accuracy_m, one.measured_accuracy_m),
-                    ("RP_l_m", one.repeatability_m, one.measured_repeatability_m),
+                    ("AP_p_m", figure.accuracy_m, figure.measured_accuracy_m),
+                    ("RP_l_m", figure.repeatability_m, figure.measured_repeatability_m),
                 )
             },
         }
-        for one in found
+        for figure in figures
     ]
 
 
@@ -302,30 +302,30 @@ def _sentences(trust: Trust) -> Iterator[str]:
 
 
 def _about_coverage(trust: Trust) -> Iterator[str]:
-    found = trust.coverage
-    if found is None:
+    coverage = trust.coverage
+    if coverage is None:
         yield "Too few points to leave some out: the intervals are not checked."
         return
     yield (
-        f"Checked on points left out in turn: {found.inside} of {found.count} lie inside their 95 % ellipsoids"
-        f" ({100 * found.share:.0f} %); predicted {_mm(found.predicted_m)}, found {_mm(found.left_m)} (root mean square)."
+        f"Checked on points left out in turn: {coverage.inside} of {coverage.count} lie inside their 95 % ellipsoids ("
+        f"{100 * coverage.share:.0f} %); predicted {_mm(coverage.predicted_m)}, found {_mm(coverage.left_m)} (root mean square)."
     )
-    if found.share < COVERED_LEAST:
+    if coverage.share < COVERED_LEAST:
         yield (
             "The intervals are too narrow for these points: look for outliers (`armwright calibrate`) and effects"
             " (`armwright gap`)."
         )
 
 
-def task_sentences(found: Reliability) -> tuple[str, ...]:
+def task_sentences(task: Reliability) -> tuple[str, ...]:
     """The probability of a task, and where it is worst."""
-    low, high = found.interval
-    q95 = float(np.quantile(found.largest_m, 0.95))
+    low, high = task.interval
+    q95 = float(np.quantile(task.largest_m, 0.95))
     return (
-        f"The path keeps {_mm(found.tolerance_m)} with a probability of {100 * found.probability:.1f} %"
-        f" ({100 * low:.1f} to {100 * high:.1f} %, {found.draws} draws).",
-        f"Its largest error is {_mm(float(np.median(found.largest_m)))} in the median and below {_mm(q95)} in 95 % of"
-        f" draws; on average it is largest at {found.worst_time_s:.2f} s of {found.duration_s:.2f} s.",
+        f"The path keeps {_mm(task.tolerance_m)} with a probability of {100 * task.probability:.1f} %"
+        f" ({100 * low:.1f} to {100 * high:.1f} %, {task.draws} draws).",
+        f"Its largest error is {_mm(float(np.median(task.largest_m)))} in the median and below {_mm(q95)} in 95 % of"
+        f" draws; on average it is largest at {task.worst_time_s:.2f} s of {task.duration_s:.2f} s.",
     )
 
 
@@ -366,12 +366,12 @@ def write_map(file: Path, trust: Trust) -> None:
         content,
         q_rad=trust.q_rad,
         tip_m=sheets[0].error.tip_m,
-        payload_kg=np.array([one.payload_kg for one in sheets]),
-        direction=np.array([one.direction for one in sheets]),
-        expected_m=np.array([one.error.expected_m for one in sheets]),
-        systematic_m2=np.array([one.error.systematic_m2 for one in sheets]),
-        random_m2=np.array([one.error.random_m2 for one in sheets]),
-        within_95_m=np.array([one.within_95_m for one in sheets]),
+        payload_kg=np.array([sheet.payload_kg for sheet in sheets]),
+        direction=np.array([sheet.direction for sheet in sheets]),
+        expected_m=np.array([sheet.error.expected_m for sheet in sheets]),
+        systematic_m2=np.array([sheet.error.systematic_m2 for sheet in sheets]),
+        random_m2=np.array([sheet.error.random_m2 for sheet in sheets]),
+        within_95_m=np.array([sheet.within_95_m for sheet in sheets]),
     )
     replace_file(file, content.getvalue())
 
@@ -379,7 +379,7 @@ def write_map(file: Path, trust: Trust) -> None:
 def trust_json(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseFigures]) -> dict[str, object]:
     """The result for programs; SI units."""
     reach, tolerance = trust.within_95_m, trust.request.tolerance_m
-    found = trust.coverage
+    coverage = trust.coverage
     return {
         "poses": len(reach),
         "within_95_m": {"median": np.median(reach), "largest": reach.max()},
@@ -388,28 +388,28 @@ def trust_json(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseF
         "noise_m": trust.posterior.noise_m,
         "measuring_noise_m": trust.measuring_noise_m,
         "is_tied_to_base": trust.predictor.is_tied,
-        "held_out": found
+        "held_out": coverage
         and {
-            "points": found.count,
-            "inside_95": found.inside,
-            "nominal_rms_m": found.without_m,
-            "left_rms_m": found.left_m,
-            "predicted_rms_m": found.predicted_m,
+            "points": coverage.count,
+            "inside_95": coverage.inside,
+            "nominal_rms_m": coverage.without_m,
+            "left_rms_m": coverage.left_m,
+            "predicted_rms_m": coverage.predicted_m,
         },
-        "causes": [entries(one, "name", "expected_m", "uncertain_m", "without_m") for one in trust.importances],
-        "sizes": dict(zip((one.name for one in trust.discrepancy.sources), trust.posterior.sizes, strict=True)),
-        "tasks": [_task_json(one) for one in tasks],
+        "causes": [entries(cause, "name", "expected_m", "uncertain_m", "without_m") for cause in trust.importances],
+        "sizes": dict(zip((source.name for source in trust.discrepancy.sources), trust.posterior.sizes, strict=True)),
+        "tasks": [_task_json(task) for task in tasks],
         "iso9283": pose_json(poses),
-        "in_words": [*sentences(trust), *(line for one in tasks for line in task_sentences(one))],
+        "in_words": [*sentences(trust), *(line for task in tasks for line in task_sentences(task))],
         "warnings": trust.warnings,
     }
 
 
-def _task_json(one: Reliability) -> dict[str, object]:
-    low, high = one.interval
-    return entries(one, "tolerance_m", "probability", "draws", "worst_time_s", "duration_s") | {
+def _task_json(task: Reliability) -> dict[str, object]:
+    low, high = task.interval
+    return entries(task, "tolerance_m", "probability", "draws", "worst_time_s", "duration_s") | {
         "lower": low,
         "upper": high,
-        "largest_median_m": np.median(one.largest_m),
-        "largest_95_m": np.quantile(one.largest_m, 0.95),
+        "largest_median_m": np.median(task.largest_m),
+        "largest_95_m": np.quantile(task.largest_m, 0.95),
     }

@@ -176,31 +176,33 @@ def coverage_of(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy) -
     if count < LEAST:
         return None
     fold = np.random.default_rng(0).permutation(count) % FOLDS
-    squares, left, promised = np.zeros(count), np.zeros((count, 3)), np.zeros(count)
+    squares, residuals_m, promised = np.zeros(count), np.zeros((count, 3)), np.zeros(count)
     for k in range(FOLDS):
         held = fold == k
-        left[held], covariance = _predicted(problem, at, discrepancy, held)
-        squares[held] = np.einsum("mi,mi->m", left[held], np.linalg.solve(covariance, left[held][:, :, None])[:, :, 0])
+        residuals_m[held], covariance = _predicted(problem, at, discrepancy, held)
+        squares[held] = np.einsum(
+            "mi,mi->m", residuals_m[held], np.linalg.solve(covariance, residuals_m[held][:, :, None])[:, :, 0]
+        )
         promised[held] = np.trace(covariance, axis1=1, axis2=2)
     before = problem.residuals(np.zeros(len(problem.parameters)))
     return Coverage(
         count,
         int((squares < ELLIPSOID_95).sum()),
         float(np.sqrt(np.mean(np.sum(before**2, axis=1)))),
-        float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
+        float(np.sqrt(np.mean(np.sum(residuals_m**2, axis=1)))),
         float(np.sqrt(np.mean(promised))),
     )
 
 
 def _predicted(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, held: np.ndarray) -> tuple[Array, Array]:
     """What is left at the poses `held` (h, 3), and its predicted covariance (h, 3, 3)."""
-    found = posterior_of(problem, at, discrepancy, ~held)
-    discrepancy = discrepancy.knowing(found.odds)
-    design, wanted = linearised(problem, at, discrepancy, found.x)
+    posterior = posterior_of(problem, at, discrepancy, ~held)
+    discrepancy = discrepancy.knowing(posterior.odds)
+    design, wanted = linearised(problem, at, discrepancy, posterior.x)
     rows = design[held]
-    loose = loose_play_m2(discrepancy, at, problem.solution(found.x), found)[held]
-    spread = np.einsum("mik,kl,mjl->mij", rows, found.covariance, rows, optimize=True)
-    return wanted[held] - rows @ found.mean, spread + loose + found.noise_m**2 * np.eye(3)
+    loose = loose_play_m2(discrepancy, at, problem.solution(posterior.x), posterior)[held]
+    spread = np.einsum("mik,kl,mjl->mij", rows, posterior.covariance, rows, optimize=True)
+    return wanted[held] - rows @ posterior.mean, spread + loose + posterior.noise_m**2 * np.eye(3)
 
 
 # Which cause costs most: by how much the tip's error would fall if one were known exactly.
@@ -244,14 +246,14 @@ def _groups(names: Sequence[str], discrepancy: Discrepancy, predictor: Predictor
 
 def _importance(name: str, rows: list[int], predictor: Predictor, gram: Array) -> Importance:
     mean, covariance = predictor.posterior.mean[rows], predictor.posterior.covariance
-    own, mixed = covariance[np.ix_(rows, rows)], covariance[:, rows]
+    marginal, mixed = covariance[np.ix_(rows, rows)], covariance[:, rows]
     here = gram[np.ix_(rows, rows)]
-    left = covariance - mixed @ np.linalg.solve(own + 1e-15 * np.eye(len(rows)) * np.trace(own), mixed.T)
+    conditional = covariance - mixed @ np.linalg.solve(marginal + 1e-15 * np.eye(len(rows)) * np.trace(marginal), mixed.T)
     return Importance(
         name,
         float(np.sqrt(max(0.0, float(mean @ here @ mean)))),
-        float(np.sqrt(max(0.0, np.sum(here * own)))),
-        float(np.sqrt(max(0.0, np.sum(gram * left)))),
+        float(np.sqrt(max(0.0, np.sum(here * marginal)))),
+        float(np.sqrt(max(0.0, np.sum(gram * conditional)))),
     )
 
 
