@@ -95,18 +95,18 @@ def expectation_of(arm: Arm, earlier: Points, new: Points) -> ExpectedTips:
     is_new = np.arange(len(points)) >= len(earlier)
     at = Conditions.recorded(arm, points)
     discrepancy = Discrepancy(arm)
-    found = posterior_of(problem, at, discrepancy, ~is_new)
-    design, wanted = linearised(problem, at, discrepancy, found.x)
-    solved = problem.solution(found.x)
+    posterior = posterior_of(problem, at, discrepancy, ~is_new)
+    design, wanted = linearised(problem, at, discrepancy, posterior.x)
+    solved = problem.solution(posterior.x)
     rows = design[is_new]
     flat = rows.reshape(-1, rows.shape[2])
-    scatter = loose_play_m2(discrepancy, at, solved, found)[is_new] + found.noise_m**2 * np.eye(3)
+    scatter = loose_play_m2(discrepancy, at, solved, posterior)[is_new] + posterior.noise_m**2 * np.eye(3)
     model = ArmModel(arm)
     slopes = model.slopes(solved.dh, new.q_rad, solved.tool_m)
     flank, load, held = _gears(arm, at, is_new)
     return ExpectedTips(
-        left_m=rows @ found.mean - wanted[is_new],
-        covariance=flat @ found.covariance @ flat.T + _blocks(scatter),
+        left_m=rows @ posterior.mean - wanted[is_new],
+        covariance=flat @ posterior.covariance @ flat.T + _blocks(scatter),
         scatter_m2=scatter,
         by_joint=slopes.by_dh[:, :, list(model.theta_places)],
         by_link=np.asarray(slopes.by_dh),
@@ -215,16 +215,16 @@ def judged(at: ExpectedTips) -> tuple[Judged, ...]:
     causes = [*singles, _several(singles)]
     prior = np.log(np.array([0.5, *np.full(len(causes) - 1, 0.5 / (len(causes) - 1))]))
     tried = [[_tried(at, cause, size) for size in cause.sizes] for cause in causes]
-    evidence = np.array([_mean_of([one.evidence for one in of_sizes]) for of_sizes in tried]) + prior
+    evidence = np.array([_mean_of([trial.evidence for trial in of_sizes]) for of_sizes in tried]) + prior
     probability = np.exp(evidence - evidence.max())
     probability /= probability.sum()
-    found = []
+    judgements = []
     for cause, of_sizes, share in zip(causes, tried, probability, strict=True):
-        best = max(of_sizes, key=lambda one: one.evidence)
+        best = max(of_sizes, key=lambda trial: trial.evidence)
         moved = cause.columns @ best.amplitudes
         shift_m = math.sqrt(float(np.mean(np.sum(moved**2, axis=1))))
-        found.append(Judged(cause, float(share), best.amplitudes, shift_m, best.misfit))
-    return tuple(sorted(found, key=lambda one: -one.probability))
+        judgements.append(Judged(cause, float(share), best.amplitudes, shift_m, best.misfit))
+    return tuple(sorted(judgements, key=lambda one: -one.probability))
 
 
 def misfit_limit(coordinates: int) -> float:
@@ -317,49 +317,49 @@ class CheckupDecision:
 
 def decide(at: ExpectedTips) -> CheckupDecision:
     """By poses that were measured."""
-    found = judged(at)
-    single = next(one for one in found if one.cause.kind != "several")
-    unchanged = next(one.misfit for one in found if one.cause.kind == "nothing")
-    is_one_cause = found[0] is single or single.misfit <= LEFT_MOST * unchanged
+    judgements = judged(at)
+    single = next(judgement for judgement in judgements if judgement.cause.kind != "several")
+    unchanged = next(judgement.misfit for judgement in judgements if judgement.cause.kind == "nothing")
+    is_one_cause = judgements[0] is single or single.misfit <= LEFT_MOST * unchanged
     noise_m = math.sqrt(float(np.mean(np.trace(at.scatter_m2, axis1=1, axis2=2))))
     actions: dict[str, float] = {}
-    for one in found:
-        is_several = one.cause.kind == "several"
-        action = action_of(single if is_several and is_one_cause else one, noise_m)
-        actions[action] = actions.get(action, 0.0) + one.probability
+    for judgement in judgements:
+        is_several = judgement.cause.kind == "several"
+        action = action_of(single if is_several and is_one_cause else judgement, noise_m)
+        actions[action] = actions.get(action, 0.0) + judgement.probability
     first, *others = sorted(actions.items(), key=lambda item: -item[1])
     return CheckupDecision(
         first[0],
         first[1],
         tuple((action, share) for action, share in others if share >= 1.0 - SURE),
-        tuple(one for one in found if one.cause.kind != "several")[:CAUSES_NAMED],
+        tuple(judgement for judgement in judgements if judgement.cause.kind != "several")[:CAUSES_NAMED],
         is_one_cause,
-        found[0] is single and single.misfit <= misfit_limit(3 * len(at)),
+        judgements[0] is single and single.misfit <= misfit_limit(3 * len(at)),
         math.sqrt(float(np.trace(at.covariance)) / len(at)),
         math.sqrt(float(np.mean(np.sum(at.left_m**2, axis=1)))),
         len(at),
     )
 
 
-def action_of(one: Judged, noise_m: float) -> str:
+def action_of(judgement: Judged, noise_m: float) -> str:
     """What a cause calls for. A change that is smaller than a visit's scatter is none."""
-    kind, number = one.cause.kind, one.cause.number
-    if kind == "nothing" or one.shift_m < noise_m:
+    kind, number = judgement.cause.kind, judgement.cause.number
+    if kind == "nothing" or judgement.shift_m < noise_m:
         return FINE
     if kind in ("play", "load"):
         return f"inspect joint {number}"
-    if kind == "zero" and abs(float(one.amplitudes[0])) > SLIP_rad:
+    if kind == "zero" and abs(float(judgement.amplitudes[0])) > SLIP_rad:
         return f"inspect joint {number}"
-    if kind == "link" and one.shift_m > BENT_m:
+    if kind == "link" and judgement.shift_m > BENT_m:
         return f"inspect link {number}"
     return RECALIBRATE
 
 
-def words_of(one: Judged) -> str:
+def words_of(judgement: Judged) -> str:
     """A cause in words, with its size."""
-    kind, number = one.cause.kind, one.cause.number
-    size = f"{1e3 * abs(float(one.amplitudes[0])):.2g} mrad" if kind in ("zero", "play", "load") else ""
-    shift = f"{1e3 * one.shift_m:.2g} mm at the tip"
+    kind, number = judgement.cause.kind, judgement.cause.number
+    size = f"{1e3 * abs(float(judgement.amplitudes[0])):.2g} mrad" if kind in ("zero", "play", "load") else ""
+    shift = f"{1e3 * judgement.shift_m:.2g} mm at the tip"
     texts = {
         "nothing": "nothing has changed",
         "zero": f"the zero of joint {number} has moved by {size}",
@@ -371,30 +371,30 @@ def words_of(one: Judged) -> str:
     return texts[kind]
 
 
-def sentences(found: CheckupDecision) -> tuple[str, ...]:
+def sentences(decision: CheckupDecision) -> tuple[str, ...]:
     """The decision in words."""
-    return tuple(_sentences(found))
+    return tuple(_sentences(decision))
 
 
-def _sentences(found: CheckupDecision) -> Iterator[str]:
+def _sentences(decision: CheckupDecision) -> Iterator[str]:
     yield (
-        f"{found.poses_count} visits: the tip is {1e3 * found.left_m:.2g} mm from where it is expected; if nothing has changed,"
-        f" {1e3 * found.expected_m:.2g} mm are usual (root mean square)."
+        f"{decision.poses_count} visits: the tip is {1e3 * decision.left_m:.2g} mm from where it is expected; if nothing has"
+        f" changed, {1e3 * decision.expected_m:.2g} mm are usual (root mean square)."
     )
-    first = found.causes[0]
-    if not found.is_one_cause:
+    first = decision.causes[0]
+    if not decision.is_one_cause:
         yield f"Recalibrate: no single cause explains it; nearest: {words_of(first)}."
         return
-    if found.is_sure:
-        yield f"{found.action.capitalize()} ({_percent(found.probability)}): {words_of(first)}."
-        if found.action.startswith("inspect"):
+    if decision.is_sure:
+        yield f"{decision.action.capitalize()} ({_percent(decision.probability)}): {words_of(first)}."
+        if decision.action.startswith("inspect"):
             yield _advice(first)
-        if not found.is_all:
+        if not decision.is_all:
             yield "It does not explain everything: something smaller may have changed as well."
         return
-    options = [(found.action, found.probability), *found.open]
+    options = [(decision.action, decision.probability), *decision.open]
     told = " or ".join(f"{action} ({_percent(share)})" for action, share in options)
-    yield f"Not sure: {told}. Likely: {_listed(found.causes)}. Run it again with more --poses."
+    yield f"Not sure: {told}. Likely: {_listed(decision.causes)}. Run it again with more --poses."
 
 
 def _advice(first: Judged) -> str:
@@ -418,23 +418,23 @@ def _percent(share: float) -> str:
     return "> 99 %" if share > 0.99 else f"{100 * share:.0f} %"
 
 
-def decision_json(found: CheckupDecision) -> dict[str, object]:
+def decision_json(decision: CheckupDecision) -> dict[str, object]:
     """For programs; SI units."""
     return {
         "format": "checkup/1",
-        "action": found.action if found.is_sure else "not sure",
-        "likeliest": found.action,
-        "probability": found.probability,
-        "open": [{"action": action, "probability": share} for action, share in found.open],
+        "action": decision.action if decision.is_sure else "not sure",
+        "likeliest": decision.action,
+        "probability": decision.probability,
+        "open": [{"action": action, "probability": share} for action, share in decision.open],
         "causes": [
-            {"kind": one.cause.kind, "number": one.cause.number or None, "shift_rms_m": one.shift_m}
-            | entries(one, "probability", "amplitudes")
-            for one in found.causes
+            {"kind": judgement.cause.kind, "number": judgement.cause.number or None, "shift_rms_m": judgement.shift_m}
+            | entries(judgement, "probability", "amplitudes")
+            for judgement in decision.causes
         ],
-        "visits": found.poses_count,
-        "expected_rms_m": found.expected_m,
-        "left_rms_m": found.left_m,
-        "in_words": sentences(found),
+        "visits": decision.poses_count,
+        "expected_rms_m": decision.expected_m,
+        "left_rms_m": decision.left_m,
+        "in_words": sentences(decision),
     }
 
 
@@ -484,9 +484,9 @@ def _best(at: ExpectedTips, count: int) -> list[int]:
 
 
 def _information(at: ExpectedTips, columns: Array, rows: list[int]) -> Array:
-    own = at.chosen(rows)
+    visits = at.chosen(rows)
     flat = columns[rows].reshape(6, -1)
-    return np.asarray(flat.T @ np.linalg.solve(own.covariance, flat))
+    return np.asarray(flat.T @ np.linalg.solve(visits.covariance, flat))
 
 
 def _tips(arm: Arm, q_rad: Array) -> Array:
