@@ -83,13 +83,13 @@ def _coupled(projector: Array, k: int, j: int) -> float:
 def _describe(group: list[int], held: Array, taken_up: Array, parameters: tuple[Parameter, ...]) -> Undetermined:
     """One group with a sentence about it."""
     names = tuple(parameters[k].name for k in group)
-    own = held[group] @ held[group].T
-    freedoms = max(1, round(float(np.trace(own))))
+    projection = held[group] @ held[group].T
+    freedoms = max(1, round(float(np.trace(projection))))
     made_up = np.abs(taken_up @ held[group].T).max(axis=1)
     by = _bodies([p.name for p, size in zip(parameters, made_up, strict=True) if size > MADE_UP_FOR])
     if freedoms == len(group):
         return Undetermined(names, freedoms, _alone(list(names), by), by)
-    trade = _trade(_simplest_row(own, freedoms), group, parameters)
+    trade = _trade(_simplest_row(projection, freedoms), group, parameters)
     return Undetermined(names, freedoms, _together(names, freedoms, trade, by), by)
 
 
@@ -111,15 +111,15 @@ def _alone(names: list[str], by: tuple[str, ...]) -> str:
 
 def _together(names: tuple[str, ...], freedoms: int, trade: str, by: tuple[str, ...]) -> str:
     """Parameters of which only combinations are determined."""
-    left = len(names) - freedoms
+    rank = len(names) - freedoms
     if all(_is_of_a_body(name) for name in names):
         return (
-            f"{_listed(names)}: {left} of these {len(names)} rotations {'is' if left == 1 else 'are'} determined, as the"
+            f"{_listed(names)}: {rank} of these {len(names)} rotations {'is' if rank == 1 else 'are'} determined, as the"
             " points lie on one line; no result depends on the rest"
         )
     aside = f" once {_where(by)} {'follows' if len(by) == 1 and by[0] == 'tool' else 'follow'}" if by else ""
     return (
-        f"{_listed(names)} move together: these points determine {left} of their {len(names)} combinations"
+        f"{_listed(names)} move together: these points determine {rank} of their {len(names)} combinations"
         f" (no tip moves{aside} when {trade}); the values given are the solution nearest to nominal"
     )
 
@@ -221,11 +221,11 @@ class Sensitivity:
     @cached_property
     def compact(self) -> Array:
         """Another sensitivity (n, 1, k) of few rows with the same products of its columns: R of QR, block after block."""
-        found: Array | None = None
+        root: Array | None = None
         for _, part in self.blocks():
             rows = part.reshape(-1, part.shape[2])
-            found = triangle(rows if found is None else np.concatenate((found, rows)))
-        whole = np.zeros((0, 0)) if found is None else found
+            root = triangle(rows if root is None else np.concatenate((root, rows)))
+        whole = np.zeros((0, 0)) if root is None else root
         return whole[:, None, :]
 
 
@@ -312,9 +312,9 @@ class _Parts:
         if not has_bound.any():
             has_bound[:] = True
         bounded, free = np.flatnonzero(has_bound), np.flatnonzero(~has_bound)
-        left, strength, right = _decomposed(rows[:, free])
+        basis, strength, right = _decomposed(rows[:, free])
         rank = int(np.sum(strength > RANK_TOLERANCE * strength.max(initial=0.0)))
-        own = rows[:, bounded] - left[:, :rank] @ (left[:, :rank].T @ rows[:, bounded])
+        own = rows[:, bounded] - basis[:, :rank] @ (basis[:, :rank].T @ rows[:, bounded])
         _, singular, own_right = _decomposed(own)
         yardstick = float(np.linalg.norm(rows[:, bounded], 2))
         return cls(rows, bounded, free, right[:rank].T, right[rank:].T, singular, own_right, yardstick)
@@ -349,10 +349,10 @@ class _Parts:
 
 def _decomposed(rows: Array) -> tuple[Array, Array, Array]:
     """Left vectors, singular values (k,) and right vectors (k, k)."""
-    left, values, right = np.linalg.svd(rows, full_matrices=True)
+    left_vectors, values, right = np.linalg.svd(rows, full_matrices=True)
     singular = np.zeros(rows.shape[1])
     singular[: len(values)] = values
-    return left, singular, right
+    return left_vectors, singular, right
 
 
 def _spread(rows: Array, basis: Array) -> Array:

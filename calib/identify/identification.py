@@ -69,8 +69,8 @@ def noise_scale(objective: Objective, residuals: Array, leverage: Array) -> Nois
     dimension = 3 if len(distances) == len(residuals) else 1
     axes = np.einsum("ijj->ij", leverage)
     shares = np.minimum(axes.mean(axis=1) if dimension == 3 else axes.ravel(), LEVERAGE_LIMIT)
-    left = dimension * (len(distances) - float(shares.sum()))
-    if left < 0.5:
+    freedom = dimension * (len(distances) - float(shares.sum()))
+    if freedom < 0.5:
         return NoiseScale(math.nan, 0.0, math.inf)
     if not np.max(distances) > 0.0:
         return NoiseScale(0.0, 0.0, math.inf)
@@ -87,16 +87,16 @@ def noise_scale(objective: Objective, residuals: Array, leverage: Array) -> Nois
     variance = float(np.mean(scores)) / curvature**2
     if not variance <= (float(np.max(distances)) / (1.0 - LEVERAGE_LIMIT)) ** 2:
         return NoiseScale(math.nan, 0.0, math.inf)  # too few residuals: the rounds do not settle
-    return NoiseScale(variance, _freedom(scores, bends, left / (dimension * len(distances))), curvature)
+    return NoiseScale(variance, _freedom(scores, bends, freedom / (dimension * len(distances))), curvature)
 
 
-def _freedom(scores: Array, bends: Array, left: float) -> float:
+def _freedom(scores: Array, bends: Array, share: float) -> float:
     """Degrees of freedom of a chi-square that varies as the variance does (Satterthwaite, Biometrics 2 (1946) 110).
 
     To first order ln v changes by score_i / mean - 2 bend_i / mean with each point.
     """
     influence = scores / np.mean(scores) - 2.0 * bends / np.mean(bends)
-    relative = float(np.var(influence)) / (len(scores) * left)
+    relative = float(np.var(influence)) / (len(scores) * share)
     return min(2.0 / relative if relative > 0.0 else math.inf, 1e6)
 
 
@@ -366,28 +366,28 @@ def identify(
     whole, best = _solved(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m)
     wanted, x = best.objective, best.x[: len(problem.parameters)]
     before, after = whole.residuals(np.zeros(len(best.x))), whole.residuals(best.x)
-    found = uncertainty(whole.parameters, wanted, best.x, after, Sensitivity.at(whole, best.x))
+    estimation = uncertainty(whole.parameters, wanted, best.x, after, Sensitivity.at(whole, best.x))
     return Identification(
         objective=wanted.name,
         solution=problem.solution(x),
         nominal_dh=frozen(problem.model.nominal_dh),
-        estimates=found.estimates,
+        estimates=estimation.estimates,
         objective_before=value_of(wanted, before),
         objective_after=value_of(wanted, after),
         error_before_m=frozen(problem.residuals(np.zeros(len(x)))),
         error_after_m=frozen(problem.residuals(x)),
-        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - found.known.rank))),
-        rank=found.known.rank,
-        condition_number=found.known.condition_number,
-        singular_values=found.known.singular_values,
-        undetermined=found.known.undetermined,
+        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - estimation.known.rank))),
+        rank=estimation.known.rank,
+        condition_number=estimation.known.condition_number,
+        singular_values=estimation.known.singular_values,
+        undetermined=estimation.known.undetermined,
         steps_count=best.steps_count,
         is_converged=best.is_converged,
         x=frozen(x),
-        noise=found.noise,
+        noise=estimation.noise,
         accuracy=best.accuracy,
         orientation=_orientation(whole, best.x),
-        weighted=_weighted(whole, found.noise),
+        weighted=_weighted(whole, estimation.noise),
     )
 
 

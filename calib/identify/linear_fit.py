@@ -53,9 +53,9 @@ class LinearFit:
         whole = columns if extra is None else np.concatenate((columns, extra), axis=2)
         rows = whole.reshape(-1, whole.shape[2])
         rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-        left, singular, _ = np.linalg.svd(rows, full_matrices=False)
-        left = left[:, singular > 1e-6 * singular.max(initial=0.0)]
-        independent = np.ascontiguousarray(left).reshape(*whole.shape[:2], -1)
+        basis, singular, _ = np.linalg.svd(rows, full_matrices=False)
+        basis = basis[:, singular > 1e-6 * singular.max(initial=0.0)]
+        independent = np.ascontiguousarray(basis).reshape(*whole.shape[:2], -1)
         return cls(residuals, independent)
 
     def weighted(self, columns: Array) -> Array:
@@ -107,34 +107,34 @@ EXPLAINED_SHARE = 0.05  # of the squared residuals: a smaller tilt is not worth 
 
 def tilted_axes(arm: Arm, problem: ArmProblem, x: Array) -> list[str]:
     """A sentence for every pair of axes whose tilt would explain a share of the squared residuals."""
-    some = problem.of_rows(slice(None, None, -(-len(problem) // ROWS_LIMIT)))
-    solution = some.solution(x)
-    frames = link_frames(some.model, solution.dh, some.observed.q_rad, solution.tool_m)
-    around, said = LinearFit.around(some, x), []
+    thinned = problem.of_rows(slice(None, None, -(-len(problem) // ROWS_LIMIT)))
+    solution = thinned.solution(x)
+    frames = link_frames(thinned.model, solution.dh, thinned.observed.q_rad, solution.tool_m)
+    fit, warnings = LinearFit.around(thinned, x), []
     for joint in parallel_joints(arm):
         frame = frame_behind(arm, joint)
         moved = np.cross(frames.axes[:, frame, :, 1], frames.tip_m - frames.origin_m[:, frame])
-        tilt_rad, share, chance = _gained(around, around.weighted(moved[:, :, None]))
+        tilt_rad, share, chance = _gained(fit, fit.weighted(moved[:, :, None]))
         if share > EXPLAINED_SHARE and chance < CHANCE:
-            said.append(
+            warnings.append(
                 f"the axes of joints {joint} and {joint + 1} may not be parallel: a tilt of {1e3 * abs(tilt_rad):.2f} mrad, which"
                 f" their DH rows cannot hold, explains {100.0 * share:.0f} % of the squared residuals; `armwright gap` tells it"
                 " from other causes, and writes it to arm.toml"
             )
-    return said
+    return warnings
 
 
-def _gained(around: LinearFit, column: Array) -> tuple[float, float, float]:
+def _gained(fit: LinearFit, column: Array) -> tuple[float, float, float]:
     """Size of one more unknown, the share of the squares that it explains, and the probability that noise does as much."""
     from scipy.special import fdtrc
 
-    known = around.columns.reshape(-1, around.rank)
-    wanted, own = -around.residuals.ravel(), column.ravel()
-    wanted, own = (one - known @ (known.T @ one) for one in (wanted, own))
-    square, freedom = float(own @ own), len(wanted) - around.rank - 1
+    known = fit.columns.reshape(-1, fit.rank)
+    wanted, regressor = -fit.residuals.ravel(), column.ravel()
+    wanted, regressor = (one - known @ (known.T @ one) for one in (wanted, regressor))
+    square, freedom = float(regressor @ regressor), len(wanted) - fit.rank - 1
     before = float(wanted @ wanted)
     if freedom < 1 or before <= 0.0 or square < 1e-12 * float(column.ravel() @ column.ravel()):
         return 0.0, 0.0, 1.0
-    size = float(own @ wanted) / square
+    size = float(regressor @ wanted) / square
     gain = size**2 * square
     return size, gain / before, float(fdtrc(1, freedom, gain * freedom / max(before - gain, 1e-300)))

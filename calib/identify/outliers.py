@@ -84,11 +84,9 @@ def find_outliers(
     if known: the smallest noise assumed.
     """
     fit = LinearFit.around(problem, x, extra)
-    found = outlier_test(fit, noise_m, false_alarm)
-    rows = np.flatnonzero(~found.agrees)
-    named = [
-        _outlier(problem, x, int(row), found, fit.unweighted(int(row), found.deleted_m[row]), cavities or {}) for row in rows
-    ]
+    test = outlier_test(fit, noise_m, false_alarm)
+    rows = np.flatnonzero(~test.agrees)
+    named = [_outlier(problem, x, int(row), test, fit.unweighted(int(row), test.deleted_m[row]), cavities or {}) for row in rows]
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
@@ -104,11 +102,11 @@ def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m, false_alarm: flo
     seen: list[bytes] = []
     for _ in range(ROUNDS_LIMIT):
         seen.append(agreeing.tobytes())
-        found = _tested(fit, agreeing, max(noise_m, RESOLUTION_m), false_alarm)
-        agreeing = found.agrees
+        test = _tested(fit, agreeing, max(noise_m, RESOLUTION_m), false_alarm)
+        agreeing = test.agrees
         if agreeing.tobytes() in seen:
             break
-    return found
+    return test
 
 
 def _tested(fit: LinearFit, agreeing: Mask, noise_m: float, false_alarm: float) -> OutlierTest:
@@ -176,7 +174,7 @@ def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
     return np.asarray(agreeing)
 
 
-def _outlier(problem: ArmProblem, x: Array, row: int, found: OutlierTest, off_m: Array, cavities: Mapping[str, Array]) -> Outlier:
+def _outlier(problem: ArmProblem, x: Array, row: int, test: OutlierTest, off_m: Array, cavities: Mapping[str, Array]) -> Outlier:
     """The outlier of a row, with its cause."""
     observed = problem.observed
     setup = observed.setup[row] if observed.setup else ""
@@ -186,10 +184,10 @@ def _outlier(problem: ArmProblem, x: Array, row: int, found: OutlierTest, off_m:
         setup,
         point,
         float(np.linalg.norm(off_m)),
-        float(found.score[row]),
-        found.noise_m,
+        float(test.score[row]),
+        test.noise_m,
         frozen(off_m),
-        cause_of(problem, x, row, off_m, found.noise_m, cavities),
+        cause_of(problem, x, row, off_m, test.noise_m, cavities),
     )
 
 
@@ -262,7 +260,7 @@ def _slipped_joints(problem: ArmProblem, x: Array, row: int, deleted_m: Array, n
     """Joints of which a change of the angle alone moves the tip to the reference: (joint, change)."""
     solution = problem.solution(x)
     q = problem.observed.q_rad[row : row + 1]
-    found = []
+    slips = []
     for joint in range(q.shape[1]):
         angle = 0.0
         for _ in range(4):
@@ -277,8 +275,8 @@ def _slipped_joints(problem: ArmProblem, x: Array, row: int, deleted_m: Array, n
         moved = problem.model.tips(solution.dh, turned, solution.tool_m)[0]
         left = deleted_m - (moved - problem.model.tips(solution.dh, q, solution.tool_m)[0])
         if np.linalg.norm(left) < near_m and abs(angle) > LEAST_SLIP_rad:
-            found.append((joint + 1, angle))
-    return found
+            slips.append((joint + 1, angle))
+    return slips
 
 
 # Contradictions among the points: shifted setups, slipped encoders, single outliers.
@@ -329,11 +327,11 @@ class Suspects:
 
     def in_words(self) -> tuple[str, ...]:
         """One sentence each, setups first; a lasting encoder slip is reported once."""
-        sentences = [] if self.is_systematic else [one.words for one in self.setups]
+        sentences = [] if self.is_systematic else [shift.words for shift in self.setups]
         sentences += [self.slip.words] if self.slip is not None else []
         single = self._single()
         listed_count = REPORTED_IF_SYSTEMATIC if self.is_systematic else REPORTED_LIMIT
-        sentences += [one.words for one in single[:listed_count]]
+        sentences += [outlier.words for outlier in single[:listed_count]]
         if len(single) > listed_count:
             sentences.append(f"{len(single) - listed_count} more points contradict the others, less than those listed")
         return tuple(sentences)
@@ -353,23 +351,23 @@ def find_suspects(
     """
     parts = max(1, math.ceil(len(problem) / PART))
     setups = shifted_setups(problem.of_rows(slice(None, None, parts)) if parts > 1 else problem, x)
-    found: list[Outlier] = []
+    outliers: list[Outlier] = []
     for first in range(parts):
         part = problem.of_rows(slice(first, None, parts)) if parts > 1 else problem
-        moved = [moved_columns(part, one.setup) for one in setups]
+        moved = [moved_columns(part, shift.setup) for shift in setups]
         extra = np.concatenate(moved, axis=2) if moved else None
-        outliers = find_outliers(part, x, cavities, extra, noise_m, FALSE_ALARM / parts)
-        found += [replace(one, row=first + parts * one.row) for one in outliers]
-    worst_first = tuple(sorted(found, key=lambda one: -one.score))
+        of_part = find_outliers(part, x, cavities, extra, noise_m, FALSE_ALARM / parts)
+        outliers += [replace(outlier, row=first + parts * outlier.row) for outlier in of_part]
+    worst_first = tuple(sorted(outliers, key=lambda outlier: -outlier.score))
     return Suspects(setups, worst_first, len(problem), _slip(problem, x, worst_first))
 
 
 def _slip(problem: ArmProblem, x: Array, outliers: tuple[Outlier, ...]) -> Slip | None:
     """The joint for which a constant change of its angle explains the longest run of outliers."""
-    run = _longest_run(sorted(one.row for one in outliers))
+    run = _longest_run(sorted(outlier.row for outlier in outliers))
     if len(run) < SLIPPED_COUNT or len(outliers) - len(run) >= SYSTEMATIC_COUNT:
         return None
-    off = {one.row: one.off_m for one in outliers}
+    off = {outlier.row: outlier.off_m for outlier in outliers}
     missing = np.array([off[row] for row in run])
     solution = problem.solution(x)
     slopes = problem.model.slopes(solution.dh, problem.observed.q_rad[run], solution.tool_m)
@@ -417,20 +415,20 @@ class ShiftedSetup:
 def shifted_setups(problem: ArmProblem, x: Array) -> tuple[ShiftedSetup, ...]:
     """Shifted setups, the worst first; none if every board is identified anyway."""
     names = _candidates(problem)
-    found: list[ShiftedSetup] = []
+    shifted: list[ShiftedSetup] = []
     if len(names) < 2:
         return ()
     fixed = LinearFit.around(problem, x)
     everything = np.concatenate([fixed.weighted(moved_columns(problem, name)) for name in names], axis=2)
     agrees = outlier_test(LinearFit.of(fixed.residuals, fixed.columns, everything)).agrees
-    while len(found) + 1 <= LARGEST_SHARE * len(names):
-        taken = [fixed.weighted(moved_columns(problem, one.setup)) for one in found]
-        rest = [name for name in names if name not in [one.setup for one in found]]
-        best = max((_moved(problem, name, fixed, taken, agrees) for name in rest), key=lambda one: one[0])
+    while len(shifted) + 1 <= LARGEST_SHARE * len(names):
+        motions = [fixed.weighted(moved_columns(problem, shift.setup)) for shift in shifted]
+        rest = [name for name in names if name not in [shift.setup for shift in shifted]]
+        best = max((_moved(problem, name, fixed, motions, agrees) for name in rest), key=lambda candidate: candidate[0])
         if best[0] < SHIFT_EXPLAINED_SHARE or best[1] > CHANCE:
             break
-        found.append(best[2])
-    return tuple(found)
+        shifted.append(best[2])
+    return tuple(shifted)
 
 
 def moved_columns(problem: ArmProblem, setup: str) -> Array:
@@ -453,16 +451,16 @@ def _candidates(problem: ArmProblem) -> list[str]:
 
 
 def _moved(
-    problem: ArmProblem, name: str, fixed: LinearFit, taken: list[Array], agrees: Mask
+    problem: ArmProblem, name: str, fixed: LinearFit, motions: list[Array], agrees: Mask
 ) -> tuple[float, float, ShiftedSetup]:
     """Explained share, p-value, and the motion."""
     from scipy.special import fdtrc
 
-    own = fixed.weighted(moved_columns(problem, name))
-    before_columns = np.concatenate((fixed.columns, *taken), axis=2)
+    motion = fixed.weighted(moved_columns(problem, name))
+    before_columns = np.concatenate((fixed.columns, *motions), axis=2)
     wanted = -fixed.residuals[agrees].ravel()
     before, before_rank, _ = _solved(before_columns[agrees], wanted)
-    after, after_rank, step = _solved(np.concatenate((before_columns, own), axis=2)[agrees], wanted)
+    after, after_rank, step = _solved(np.concatenate((before_columns, motion), axis=2)[agrees], wanted)
     freedom = max(1, len(wanted) - after_rank)
     gained = max(1, after_rank - before_rank)
     chance = float(fdtrc(gained, freedom, max(0.0, before - after) / gained / max(after / freedom, 1e-300)))

@@ -178,10 +178,10 @@ def minimise(
         raise CalibrationError(f"average accuracy: expected a positive length in m, got {accuracy_limit_m}")
     wanted = settled(problem, objective, seed)
     best = best_of_starts(problem, wanted, starts_count, seed)
-    found = _nearest_to_nominal(problem, wanted, best, equal)
+    minimum = _nearest_to_nominal(problem, wanted, best, equal)
     if accuracy_limit_m is None:
-        return found
-    return _constrained(problem, found, accuracy_limit_m, starts_count, seed)
+        return minimum
+    return _constrained(problem, minimum, accuracy_limit_m, starts_count, seed)
 
 
 def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
@@ -192,31 +192,31 @@ def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
     return objective.settled_on(PoseSample(problem, SumOfDistances()).residuals(robust.x))
 
 
-def _constrained(problem: Problem, found: Minimum, limit_m: float, starts_count: int, seed: int) -> Minimum:
+def _constrained(problem: Problem, minimum: Minimum, limit_m: float, starts_count: int, seed: int) -> Minimum:
     """The minimum subject to a mean distance of at most limit_m."""
-    mean_m = _mean_m(problem, found.x)
-    is_distance = isinstance(found.objective, SumOfDistances)
+    mean_m = _mean_m(problem, minimum.x)
+    is_distance = isinstance(minimum.objective, SumOfDistances)
     if mean_m <= limit_m or is_distance:
-        return replace(found, accuracy=Accuracy(limit_m, mean_m, mean_m if is_distance else None))
+        return replace(minimum, accuracy=Accuracy(limit_m, mean_m, mean_m if is_distance else None))
     closest = minimise(problem, SumOfDistances(), starts_count, seed)
     least_m = _mean_m(problem, closest.x)
     if least_m >= limit_m:
-        return _instead(problem, found, closest.x, Accuracy(limit_m, least_m, least_m))
-    x, multiplier = _multiplied(problem, found, closest.x, limit_m)
-    return _instead(problem, found, x, Accuracy(limit_m, _mean_m(problem, x), least_m, multiplier))
+        return _instead(problem, minimum, closest.x, Accuracy(limit_m, least_m, least_m))
+    x, multiplier = _multiplied(problem, minimum, closest.x, limit_m)
+    return _instead(problem, minimum, x, Accuracy(limit_m, _mean_m(problem, x), least_m, multiplier))
 
 
-def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float) -> tuple[Array, float]:
+def _multiplied(problem: Problem, minimum: Minimum, closest: Array, limit_m: float) -> tuple[Array, float]:
     """The minimum of objective + lambda E2 whose mean distance is limit_m, and the lambda: bisection of its logarithm.
 
     Returns the end of the interval that meets the constraint.
     """
-    per_distance = found.value / (len(problem) * limit_m)
+    per_distance = minimum.value / (len(problem) * limit_m)
     low, high, best, best_multiplier = 1e-9, 1e9, closest, np.inf
-    start = found.x
+    start = minimum.x
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
-        objective = WithDistances(found.objective, middle * per_distance)
+        objective = WithDistances(minimum.objective, middle * per_distance)
         sample = PoseSample(problem, objective)
         start = descend(sample, start, _fine(sample)).x
         mean_m = _mean_m(problem, start)
@@ -229,9 +229,9 @@ def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float
     return best, best_multiplier
 
 
-def _instead(problem: Problem, found: Minimum, x: Array, accuracy: Accuracy) -> Minimum:
+def _instead(problem: Problem, minimum: Minimum, x: Array, accuracy: Accuracy) -> Minimum:
     """The same minimum record at another point."""
-    return replace(found, x=x, value=PoseSample(problem, found.objective).value(x), accuracy=accuracy)
+    return replace(minimum, x=x, value=PoseSample(problem, minimum.objective).value(x), accuracy=accuracy)
 
 
 def _mean_m(problem: Problem, x: Array) -> float:
@@ -262,11 +262,11 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
             rough = descend(few, rough.x, _fine(few))
             if not ends.is_lead(rough.x):
                 continue
-        other = _finished(problem, objective, rough)
-        if abs(other.value - best.value) > DIFFERENT * best.value:
+        minimum = _finished(problem, objective, rough)
+        if abs(minimum.value - best.value) > DIFFERENT * best.value:
             limit = max(limit, starts_count * SEVERAL_STARTS)
-        if other.value < best.value * (1.0 - BETTER):
-            best = other
+        if minimum.value < best.value * (1.0 - BETTER):
+            best = minimum
     return best
 
 
