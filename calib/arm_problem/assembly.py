@@ -64,21 +64,21 @@ def _with_frames(tips: Array, by_tool: Array, observed: Observations) -> Array:
     step = np.zeros(3)
     for _ in range(ROUNDS):
         moved = tips + by_tool @ step
-        left, columns = np.empty_like(tips), by_tool.copy()
+        residual_m, columns = np.empty_like(tips), by_tool.copy()
         for k, frame in enumerate(observed.frames):
             rows = observed.rows_of(k)
             if not len(rows):
                 continue
             place = frame if frame.is_placed else _placed(frame, observed.position_m[rows], moved[rows])
             references = place.to_base(observed.position_m[rows])
-            left[rows] = references - moved[rows]
+            residual_m[rows] = references - moved[rows]
             if not frame.is_placed:
                 arms = references - references.mean(axis=0)
                 turns = np.array([-cross_matrix(arm) for arm in arms])
                 motions = np.concatenate((np.broadcast_to(np.eye(3), turns.shape), turns), axis=2).reshape(-1, 6)
                 flat = columns[rows].reshape(-1, 3)
                 columns[rows] = (flat - motions @ np.linalg.lstsq(motions, flat)[0]).reshape(-1, 3, 3)
-        move, *_ = np.linalg.lstsq(columns.reshape(-1, 3), left.ravel(), rcond=WEAK)
+        move, *_ = np.linalg.lstsq(columns.reshape(-1, 3), residual_m.ravel(), rcond=WEAK)
         step = step + move
         if float(np.abs(move).max()) < SETTLED_m:
             break
@@ -104,10 +104,10 @@ def with_started_frames(model: ArmModel, observed: Observations, tool_m: Array) 
 
 def _groups(keys: Sequence[Hashable]) -> list[list[int]]:
     """Rows with the same key."""
-    found: dict[Hashable, list[int]] = {}
+    rows_by_key: dict[Hashable, list[int]] = {}
     for row, key in enumerate(keys):
-        found.setdefault(key, []).append(row)
-    return list(found.values())
+        rows_by_key.setdefault(key, []).append(row)
+    return list(rows_by_key.values())
 
 
 BASE = "base"
@@ -191,12 +191,12 @@ def followed(arm: Arm, points: Points, problem: ArmProblem, at: ModelValues) -> 
     `arm` is that of the solution `at`. By finite differences: loads follow its geometry, and joints that give way to them. A
     loose gear has no such slope: it jumps. Empty where nothing follows loads.
     """
-    steady = replace(arm, effects=tuple(one for one in arm.effects if one.effect != "backlash"))
-    if not any(one.effect in FOLLOW_LOADS for one in steady.effects) and not any(one.over == "load_Nm" for one in steady.maps):
+    steady = replace(arm, effects=tuple(effect for effect in arm.effects if effect.effect != "backlash"))
+    if not any(e.effect in FOLLOW_LOADS for e in steady.effects) and not any(m.over == "load_Nm" for m in steady.maps):
         return {}
     here = resting_points(steady, points).joint_rad
     by_joint = problem.model.slopes(at.dh, here, at.tool_m).by_dh[:, :, list(problem.model.theta_places)]
-    direct = {one.name: one for one in problem.observed.corrections}
+    direct = {correction.name: correction for correction in problem.observed.corrections}
 
     def moved_m(there: Arm) -> Array:
         joint_rad = resting_points(there, points, here).joint_rad
@@ -204,31 +204,31 @@ def followed(arm: Arm, points: Points, problem: ArmProblem, at: ModelValues) -> 
         moved = np.einsum("mij,mj->mi", by_joint, joint_rad - here)
         return np.asarray(moved if bent is None else moved + bent.shift)
 
-    before_m, found = moved_m(steady), {}
+    before_m, slopes = moved_m(steady), {}
     for name, step, there in _nearby(steady, problem, at):
-        found[name] = (moved_m(there) - before_m) / step
+        slopes[name] = (moved_m(there) - before_m) / step
         if name in direct:
-            found[name] -= np.einsum("mij,mj->mi", by_joint, direct[name].slope_rad)
-            found[name] -= 0.0 if (slope_m := direct[name].slope_m) is None else slope_m
-    return found
+            slopes[name] -= np.einsum("mij,mj->mi", by_joint, direct[name].slope_rad)
+            slopes[name] -= 0.0 if (slope_m := direct[name].slope_m) is None else slope_m
+    return slopes
 
 
 def _nearby(arm: Arm, problem: ArmProblem, at: ModelValues) -> Iterator[tuple[str, float, Arm]]:
     """Each parameter that shapes the arm, a step of it [own unit], and the arm with that step."""
-    for k, one in enumerate(problem.everything):
-        step = NEARBY * one.scale
+    for k, parameter in enumerate(problem.everything):
+        step = NEARBY * parameter.scale
         if k < at.dh.size:
             dh = np.array(at.dh)
             dh.flat[k] += step
-            yield one.name, step, arm.with_dh(dh)
-        elif one.name in TOOL_NAMES:
-            x, y, z = (at.tool_m + step * np.eye(3)[TOOL_NAMES.index(one.name)]).tolist()
-            yield one.name, step, replace(arm, tool=replace(arm.tool, position_m=(x, y, z)))
-        elif one.name in at.corrections and not one.name.startswith("backlash"):
-            there = with_effects(arm, {**at.corrections, one.name: at.corrections[one.name] + step})
+            yield parameter.name, step, arm.with_dh(dh)
+        elif parameter.name in TOOL_NAMES:
+            x, y, z = (at.tool_m + step * np.eye(3)[TOOL_NAMES.index(parameter.name)]).tolist()
+            yield parameter.name, step, replace(arm, tool=replace(arm.tool, position_m=(x, y, z)))
+        elif parameter.name in at.corrections and not parameter.name.startswith("backlash"):
+            there = with_effects(arm, {**at.corrections, parameter.name: at.corrections[parameter.name] + step})
             there = replace(there, effects=tuple(e for e in there.effects if e.effect != "backlash"))
             if there.effects != arm.effects:  # what cannot be is in no arm
-                yield one.name, step, there
+                yield parameter.name, step, there
 
 
 def observations_of(arm: Arm, points: Points, choice: Choice, shaped: Arm | None = None) -> Observations:

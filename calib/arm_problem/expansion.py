@@ -156,22 +156,22 @@ def chain_curvature(columns: Array, weight: Array, is_modified: bool) -> Array:
     order = _order(k, is_modified)
     levers = crossed(weight, columns[turns - 1])
     product = slim_product(levers.reshape(len(turns), -1), columns.reshape(k, -1))
-    found = np.zeros((k, k))
+    curvature = np.zeros((k, k))
     beyond = order[turns][:, None] <= order[None, :]
-    found[turns] = np.where(beyond, product, 0.0)
-    return _mirrored(found, order)
+    curvature[turns] = np.where(beyond, product, 0.0)
+    return _mirrored(curvature, order)
 
 
 def joint_curvature(columns: Array, weight: Array, is_modified: bool, joint: int) -> Array:
     """Weight . d2 tip / d theta dx of every pose, (k, m), for the theta at `joint` of dh.ravel(); as chain_curvature."""
     k = len(columns)
     order = _order(k, is_modified)
-    found = np.zeros((k, columns.shape[2]))
+    curvature = np.zeros((k, columns.shape[2]))
     beyond = order >= order[joint]
-    found[beyond] = np.einsum("im,kim->km", crossed(weight, columns[joint - 1]), columns[beyond])
+    curvature[beyond] = np.einsum("im,kim->km", crossed(weight, columns[joint - 1]), columns[beyond])
     before = np.array([b for b in range(1, k - k % 4, 2) if not beyond[b]], dtype=np.intp)
-    found[before] = np.einsum("kim,im->km", crossed(weight, columns[before - 1]), columns[joint])
-    return found
+    curvature[before] = np.einsum("kim,im->km", crossed(weight, columns[before - 1]), columns[joint])
+    return curvature
 
 
 def frame_curvature(arms: Array, weight: Array, turn_rad: Array) -> Array:
@@ -188,10 +188,10 @@ def frame_curvature(arms: Array, weight: Array, turn_rad: Array) -> Array:
 
 def crossed(weight: Array, axes: Array) -> Array:
     """Weight x axes along the coordinate: (3, m) and (..., 3, m)."""
-    about, around = np.concatenate((weight, weight[:2])), np.concatenate((axes, axes[..., :2, :]), axis=-2)
-    found = about[1:4] * around[..., 2:5, :]
-    found -= about[2:5] * around[..., 1:4, :]
-    return np.asarray(found)
+    about, cyclic = np.concatenate((weight, weight[:2])), np.concatenate((axes, axes[..., :2, :]), axis=-2)
+    product = about[1:4] * cyclic[..., 2:5, :]
+    product -= about[2:5] * cyclic[..., 1:4, :]
+    return np.asarray(product)
 
 
 def _order(k: int, is_modified: bool) -> Order:
@@ -200,7 +200,7 @@ def _order(k: int, is_modified: bool) -> Order:
     return np.where(order < k - k % 4, order ^ 2, order) if is_modified else order
 
 
-def _mirrored(found: Array, order: Order) -> Array:
+def _mirrored(matrix: Array, order: Order) -> Array:
     """Make the matrix symmetric: copy entries (a, b), a before b, to (b, a)."""
     later = order[:, None] > order[None, :]
-    return np.where(later, found.T, found)
+    return np.where(later, matrix.T, matrix)

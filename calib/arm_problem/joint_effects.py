@@ -112,21 +112,21 @@ def _known(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> Array:
     shift = np.zeros(points.q_rad.shape)
     for correction in _corrections(arm, at, known):
         shift += correction.nominal * correction.slope_rad
-    for one in arm.maps:
-        if one.corrects == "angle_rad":
-            place = at.gravity_Nm(one.joint) if one.over == "load_Nm" else at.q_rad(one.joint)
-            shift[:, one.joint - 1] += along(one, place, points.direction[:, one.joint - 1])
+    for entry in arm.maps:
+        if entry.corrects == "angle_rad":
+            place = at.gravity_Nm(entry.joint) if entry.over == "load_Nm" else at.q_rad(entry.joint)
+            shift[:, entry.joint - 1] += along(entry, place, points.direction[:, entry.joint - 1])
     return frozen(shift)
 
 
 def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
     """Effects of docs/formats.md from the corrections' values by name, without unphysical ones."""
-    found = []
+    effects = []
     for (name, joint), linear in _gathered(values).items():
         parameters = _parameters(name, linear)
         if parameters is not None:
-            found.append(Effect(name, joint, parameters))
-    return tuple(found)
+            effects.append(Effect(name, joint, parameters))
+    return tuple(effects)
 
 
 def with_effects(arm: Arm, values: Mapping[str, float]) -> Arm:
@@ -225,11 +225,11 @@ def _of_joint(slope: Array, joint: int, joint_count: int) -> Array:
 
 def _gathered(values: Mapping[str, float]) -> dict[Key, list[float]]:
     """Values by effect and joint, in the order of the law's terms; CalibrationError for an unknown name."""
-    found: dict[Key, dict[int, float]] = {}
+    by_effect: dict[Key, dict[int, float]] = {}
     for name, value in values.items():
         effect, joint, place = _named(name)
-        found.setdefault((effect, joint), {})[place] = value
-    return {key: [places.get(k, 0.0) for k in range(len(LAWS[key[0]]))] for key, places in found.items()}
+        by_effect.setdefault((effect, joint), {})[place] = value
+    return {key: [places.get(k, 0.0) for k in range(len(LAWS[key[0]]))] for key, places in by_effect.items()}
 
 
 def _named(name: str) -> tuple[str, int | None, int]:
@@ -284,13 +284,13 @@ class RestingPoints:
 
         CalibrationError unless the arm's file says how fast: the drift is not linear in its time constant.
         """
-        given = [e for e in self._arm.effects if (e.effect, e.joint) == (DRIFT, joint)]
-        if not given:
+        drifts = [e for e in self._arm.effects if (e.effect, e.joint) == (DRIFT, joint)]
+        if not drifts:
             raise CalibrationError(
                 f"{DRIFT} of joint {joint}: arm {self._arm.name} has no [[effect]] that says its time_constant_s; `armwright gap`"
                 " finds it"
             )
-        return np.nan_to_num(1.0 - np.exp(-self.points.elapsed_s / given[0].parameters["time_constant_s"]))
+        return np.nan_to_num(1.0 - np.exp(-self.points.elapsed_s / drifts[0].parameters["time_constant_s"]))
 
     def bent(self, link: int) -> Bending:
         """What a link's bending does to the tip and to the last link, per 1 / EI."""
@@ -401,12 +401,12 @@ def node_values(coefficients: Array, is_periodic: bool) -> Array:
     return np.asarray(np.array([1.0, 4.0, 1.0]) / 6.0 @ coefficients[beside])
 
 
-def along(one: CorrectionMap, x: Array, direction: Array) -> Array:
+def along(correction: CorrectionMap, x: Array, direction: Array) -> Array:
     """What a map adds at x (m,), with the direction of motion (m,), -1 to 1."""
-    piece, t = _place(len(one.values), one.lower, one.upper, one.is_periodic, x)
-    added = _value(one.values, one.is_periodic, piece, t)
-    if one.by_direction:
-        added = added + direction * _value(one.by_direction, one.is_periodic, piece, t)
+    piece, t = _place(len(correction.values), correction.lower, correction.upper, correction.is_periodic, x)
+    added = _value(correction.values, correction.is_periodic, piece, t)
+    if correction.by_direction:
+        added = added + direction * _value(correction.by_direction, correction.is_periodic, piece, t)
     return added
 
 

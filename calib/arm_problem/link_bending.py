@@ -105,11 +105,11 @@ def cross(a: Array, b: Array) -> Array:
 def _masses(arm: Arm, frames: LinkFrames, payload_kg: Array, link: int) -> Iterator[tuple[bool, Array, Array]]:
     """For each mass: whether it is beyond the link, its position (m, 3), and its mass (m,)."""
     following = _next_turning(arm, link)
-    for k, one in enumerate(arm.links[link - 1 :], start=link):
-        if one.mass_kg and one.com_m is not None:
-            place = frames.point_m(k, np.asarray(one.com_m))
+    for k, body in enumerate(arm.links[link - 1 :], start=link):
+        if body.mass_kg and body.com_m is not None:
+            place = frames.point_m(k, np.asarray(body.com_m))
             is_beyond = following is not None and k >= following
-            yield is_beyond, place, np.full(len(place), one.mass_kg)
+            yield is_beyond, place, np.full(len(place), body.mass_kg)
     if payload_kg.any():
         yield True, frames.tip_m, payload_kg
 
@@ -124,16 +124,16 @@ def known_bending(arm: Arm, q_rad: Array, payload_kg: Array, left_out: Collectio
 
     None if it has none besides those of the links `left_out`.
     """
-    known = [one for one in arm.effects if one.effect == FLEXURE and one.joint not in (None, *left_out)]
+    known = [flexure for flexure in arm.effects if flexure.effect == FLEXURE and flexure.joint not in (None, *left_out)]
     if not known:
         return None
     arm, loads = with_link_inertia(arm), np.nan_to_num(payload_kg) + own_payload_kg(arm)
     shift, turn = np.zeros((len(q_rad), 3)), np.zeros((len(q_rad), 3))
     frames = link_frames(ArmModel(arm), arm.dh, q_rad)
-    for one in known:
-        found = bending(arm, frames, loads, one.joint or 1)
-        shift += found.shift / one.parameters["EI_Nm2"]
-        turn += found.turn / one.parameters["EI_Nm2"]
+    for flexure in known:
+        unit_bending = bending(arm, frames, loads, flexure.joint or 1)
+        shift += unit_bending.shift / flexure.parameters["EI_Nm2"]
+        turn += unit_bending.turn / flexure.parameters["EI_Nm2"]
     return Bending(frozen(shift), frozen(turn))
 
 

@@ -104,7 +104,7 @@ def doubts_of_reading(arm: Arm, problem: ArmProblem, is_as_given: bool = False) 
     reach_m = _reach_m(problem)
     if best.left < as_read.left / NEARER:
         alike = [description for misfit, description in tried if misfit.left < AS_GOOD * best.left]
-        found = Doubt(
+        doubt = Doubt(
             ", or ".join(alike[:REPORTED_LIMIT]),
             f"the nominal arm would then be {best.in_words()}",
             f"it is {as_read.in_words()}",
@@ -112,8 +112,8 @@ def doubts_of_reading(arm: Arm, problem: ArmProblem, is_as_given: bool = False) 
         )
         explains_nothing = as_read.left >= 1.0 and best.left < ODD
         if (as_read.distance_m > reach_m or explains_nothing) and not is_as_given:
-            raise found.refusal()
-        return (found,)
+            raise doubt.refusal()
+        return (doubt,)
     if as_read.distance_m > FAR_TIMES * reach_m:
         frames = tuple(dataclasses.replace(frame, is_placed=False) for frame in observed.frames)
         placed = _misfit(problem, dataclasses.replace(observed, frames=frames))
@@ -252,10 +252,10 @@ def doubts_of_turns(problem: ArmProblem, is_as_given: bool = False) -> tuple[Dou
     if off <= OFF_rad:
         return ()
     looks, then_rad, remedy = _explained(problem, off)
-    found = Doubt(looks, f"they would then be {_deg(then_rad)} off the arm's in the mean", f"they are {_deg(off)} off", remedy)
+    doubt = Doubt(looks, f"they would then be {_deg(then_rad)} off the arm's in the mean", f"they are {_deg(off)} off", remedy)
     if not is_as_given:
-        raise found.refusal()
-    return (found,)
+        raise doubt.refusal()
+    return (doubt,)
 
 
 def _explained(problem: ArmProblem, off: float) -> tuple[str, float, str]:
@@ -289,9 +289,9 @@ def _angle_rad(problem: ArmProblem) -> float:
 
 
 def _with(problem: ArmProblem, rotation: Array) -> ArmProblem:
-    other = copy.copy(problem)
-    other.observed = dataclasses.replace(problem.observed, rotation=frozen(rotation))
-    return other
+    reread = copy.copy(problem)
+    reread.observed = dataclasses.replace(problem.observed, rotation=frozen(rotation))
+    return reread
 
 
 def _turn_readings(problem: ArmProblem) -> Iterator[tuple[str, Array]]:
@@ -384,29 +384,29 @@ def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tup
     """
     if len(points) < FEWEST:
         return ()
-    some = points.chosen(range(0, len(points), -(-len(points) // ROWS_LIMIT)))
+    thinned = points.chosen(range(0, len(points), -(-len(points) // ROWS_LIMIT)))
     candidates = [_Candidate(arm, "", ""), *_alternatives(arm, (choice or Choice()).bounds)]
-    problems = [problem_of(one.arm, some, choice) for one in candidates]
-    size = min(_fitted(one, LARGEST).size for one in problems)
-    own, *others = [_fitted(one, size) for one in problems]
-    rivals = [(c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * own.left]
+    problems = [problem_of(candidate.arm, thinned, choice) for candidate in candidates]
+    size = min(_fitted(problem, LARGEST).size for problem in problems)
+    arm_fit, *others = [_fitted(problem, size) for problem in problems]
+    rivals = [(c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * arm_fit.left]
     if not rivals:
         return ()
-    scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (own, *others)))
-    other, fit = min(rivals, key=lambda rival: rival[1].cost(scale_m, size))
-    excess = own.cost(scale_m, size) - fit.cost(scale_m, size)
+    scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (arm_fit, *others)))
+    rival, fit = min(rivals, key=lambda pair: pair[1].cost(scale_m, size))
+    excess = arm_fit.cost(scale_m, size) - fit.cost(scale_m, size)
     if excess <= LIKELY:
         return ()
-    is_sure = excess > SURE and fit.nominal_m < own.nominal_m / NEARER
-    found = Doubt(
-        f"these points fit {other.name} {'far ' if is_sure else ''}better than arm {arm.name}",
+    is_sure = excess > SURE and fit.nominal_m < arm_fit.nominal_m / NEARER
+    doubt = Doubt(
+        f"these points fit {rival.name} {'far ' if is_sure else ''}better than arm {arm.name}",
         f"as drawn it is {fit.in_words()}, and smaller deviations explain them",
-        f"{arm.name} is {own.in_words()}",
-        other.advice,
+        f"{arm.name} is {arm_fit.in_words()}",
+        rival.advice,
     )
     if is_sure and not points.is_as_given:
-        raise found.refusal()
-    return (found,)
+        raise doubt.refusal()
+    return (doubt,)
 
 
 def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
@@ -414,9 +414,9 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
 
     An offset that a deviation within its bound turns round makes no other arm.
     """
-    for name, other in _supplied():
-        if _is_of_kind(other, arm) and not np.allclose(other.dh, arm.dh):
-            yield _Candidate(arm.with_dh(other.dh), f"the arm {name}", f"if they are of {name}, give its file with --arm")
+    for name, supplied in _supplied():
+        if _is_of_kind(supplied, arm) and not np.allclose(supplied.dh, arm.dh):
+            yield _Candidate(arm.with_dh(supplied.dh), f"the arm {name}", f"if they are of {name}, give its file with --arm")
     yield from _a_tooth_off(arm)
     within_m = [one.bound for one in dh_parameters(arm.dh, bounds)[::4]]
     for links in _subsets([k for k, d in enumerate(arm.dh[:, 0]) if 2.0 * abs(d) > within_m[k]]):
@@ -452,10 +452,10 @@ def _a_tooth_off(arm: Arm) -> Iterator[_Candidate]:
             )
 
 
-def _is_of_kind(other: Arm, arm: Arm) -> bool:
+def _is_of_kind(candidate: Arm, arm: Arm) -> bool:
     """Whether one arm's geometry can replace the other's."""
-    kinds = [[link.joint for link in one.links] for one in (other, arm)]
-    return kinds[0] == kinds[1] and other.dh_convention == arm.dh_convention
+    kinds = [[link.joint for link in one.links] for one in (candidate, arm)]
+    return kinds[0] == kinds[1] and candidate.dh_convention == arm.dh_convention
 
 
 def _subsets(links: list[int]) -> Iterator[tuple[int, ...]]:
@@ -465,13 +465,13 @@ def _subsets(links: list[int]) -> Iterator[tuple[int, ...]]:
     return chain(((k,) for k in links), (tuple(links),))
 
 
-def _fitted(own: ArmProblem, size: float) -> _Fit:
+def _fitted(problem: ArmProblem, size: float) -> _Fit:
     """The most probable deviations of an arm: Gauss-Newton's steps with Student's weights."""
-    has_bound = np.array([one.has_bound for one in own.parameters])
+    has_bound = np.array([one.has_bound for one in problem.parameters])
     prior = np.diag(np.where(has_bound, size**-2, UNBOUNDED))
     x, scale_m, normal = np.zeros(len(prior)), np.inf, prior
     for _ in range(STEPS):
-        residual, jacobian = own.residuals_and_jacobian(x)
+        residual, jacobian = problem.residuals_and_jacobian(x)
         distance = norms(residual)
         scale_m = max(SCALE_m, min(scale_m, float(np.median(distance)) / MEDIAN_LENGTH))
         weight = (NU + 3.0) / (NU * scale_m**2 + distance**2)
@@ -485,9 +485,9 @@ def _fitted(own: ArmProblem, size: float) -> _Fit:
     shown = float(np.sum(has_bound) - np.trace((prior @ np.linalg.inv(normal))[np.ix_(has_bound, has_bound)]))
     square = float(np.sum(x[has_bound] ** 2))
     return _Fit(
-        float(np.median(norms(own.residuals(np.zeros(len(x)))))),
-        float(np.sqrt(np.mean(norms(own.references_m - own.references_m.mean(axis=0)) ** 2))),
-        norms(own.residuals(x)),
+        float(np.median(norms(problem.residuals(np.zeros(len(x)))))),
+        float(np.sqrt(np.mean(norms(problem.references_m - problem.references_m.mean(axis=0)) ** 2))),
+        norms(problem.residuals(x)),
         square,
         float(np.clip(np.sqrt(square / max(shown, 1.0)), SMALLEST, LARGEST)),
     )

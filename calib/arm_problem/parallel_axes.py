@@ -51,28 +51,28 @@ def with_tilt_behind(arm: Arm, joint: int) -> Arm:
     return dataclasses.replace(arm, links=(*before, *added, *after), effects=effects)
 
 
-def in_the_same_rows(one: Arm, other: Arm) -> tuple[Arm, Arm]:
+def in_the_same_rows(first: Arm, second: Arm) -> tuple[Arm, Arm]:
     """Both arms with every row of `with_tilt_behind` that either of them has, so that their rows compare one by one.
 
     ArmError where their rows differ otherwise.
     """
-    for joint in _only_in(other, one):
-        one = with_tilt_behind(one, joint)
-    for joint in _only_in(one, other):
-        other = with_tilt_behind(other, joint)
-    if (one.joints, one.dh_convention) != (other.joints, other.dh_convention):
-        raise ArmError(f"arms {one.name} and {other.name} have other rows: no row of one stands for one of the other")
-    return one, other
+    for joint in _only_in(second, first):
+        first = with_tilt_behind(first, joint)
+    for joint in _only_in(first, second):
+        second = with_tilt_behind(second, joint)
+    if (first.joints, first.dh_convention) != (second.joints, second.dh_convention):
+        raise ArmError(f"arms {first.name} and {second.name} have other rows: no row of one stands for one of the other")
+    return first, second
 
 
-def numbers_before(given: Arm, more: Arm) -> dict[int, int]:
-    """Of every row (1-based) that has another number in `more`, which is `given` with rows of `with_tilt_behind`: its number
-    in `given`.
+def numbers_before(arm: Arm, more: Arm) -> dict[int, int]:
+    """Of every row (1-based) that has another number in `more`, which is `arm` with rows of `with_tilt_behind`: its number
+    in `arm`.
     """
     count = 2 if more.dh_convention == "modified" else 1
-    joints = _rows_of_joints(given)
-    ends = [joints[joint - 1] for joint in _only_in(more, given)]
-    moved = {row + 1 + count * sum(end < row for end in ends): row + 1 for row in range(len(given.links))}
+    joints = _rows_of_joints(arm)
+    ends = [joints[joint - 1] for joint in _only_in(more, arm)]
+    moved = {row + 1 + count * sum(end < row for end in ends): row + 1 for row in range(len(arm.links))}
     return {number: before for number, before in moved.items() if number != before}
 
 

@@ -51,26 +51,26 @@ class PosedProblem:
 
     def residuals(self, x: Array, rows: slice = ALL) -> Array:
         """(rows, 3) [m]."""
-        some, turned = self._split(rows)
-        return np.concatenate((self.tips.residuals(x[: self._count], some), self._turned(x, turned)[0]))
+        positions, turned = self._split(rows)
+        return np.concatenate((self.tips.residuals(x[: self._count], positions), self._turned(x, turned)[0]))
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """(rows, 3) and (rows, 3, k)."""
-        some, turned = self._split(rows)
-        tip, by_tip = self.tips.residuals_and_jacobian(x[: self._count], some)
+        positions, turned = self._split(rows)
+        tip, by_tip = self.tips.residuals_and_jacobian(x[: self._count], positions)
         error, by_x = self._turned(x, turned)
         return np.concatenate((tip, error)), np.concatenate((self._widened(by_tip), by_x))
 
     def expanded(self, x: Array, rows: slice = ALL) -> WithRows:
         """Around x."""
-        some, turned = self._split(rows)
-        return WithRows(self.tips.expanded(x[: self._count], some), self._count, *self._turned(x, turned))
+        positions, turned = self._split(rows)
+        return WithRows(self.tips.expanded(x[: self._count], positions), self._count, *self._turned(x, turned))
 
     def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """The Jacobian for zero residuals, (rows, 3, k)."""
-        some, turned = self._split(rows)
+        positions, turned = self._split(rows)
         by_turn = self._turned(x, turned, at_zero=True)[1]
-        return np.concatenate((self._widened(self.tips.sensitivity(x[: self._count], some)), by_turn))
+        return np.concatenate((self._widened(self.tips.sensitivity(x[: self._count], positions)), by_turn))
 
     def angles_rad(self, x: Array) -> Array:
         """Errors of the orientations as rotation vectors in the base frame, (r, 3)."""
@@ -92,22 +92,22 @@ class PosedProblem:
 
     def _turned(self, x: Array, poses: Places, at_zero: bool = False) -> tuple[Array, Array]:
         """Residuals of orientations (r, 3) [m] and their Jacobian (r, 3, k)."""
-        found = self.tips.turns(x[: self._count], poses)
+        turns = self.tips.turns(x[: self._count], poses)
         turn = self._turn(x)
-        modelled = found.model @ (rotation_of(turn) @ self.start)
-        error = logarithms(found.measured @ np.swapaxes(modelled, 1, 2))
-        by_model = self._with_target(found, turn, len(x))
-        by_measured = self._widened(found.by_measured)
+        modelled = turns.model @ (rotation_of(turn) @ self.start)
+        error = logarithms(turns.measured @ np.swapaxes(modelled, 1, 2))
+        by_model = self._with_target(turns, turn, len(x))
+        by_measured = self._widened(turns.by_measured)
         if not at_zero:
             inverse = inverse_jacobians(error)
             by_measured = inverse @ by_measured
             by_model = np.swapaxes(inverse, 1, 2) @ by_model  # J_r(e) = J_l(e)'
         return self.lever_m * error, self.lever_m * (by_measured - by_model)
 
-    def _with_target(self, found: Turns, turn: Array, k: int) -> Array:
-        whole = self._widened(found.by_model)
+    def _with_target(self, turns: Turns, turn: Array, k: int) -> Array:
+        whole = self._widened(turns.by_model)
         if k > self._count:
-            whole[:, :, self._count :] = found.model @ left_jacobian(turn) * self._scale
+            whole[:, :, self._count :] = turns.model @ left_jacobian(turn) * self._scale
         return whole
 
     def _widened(self, columns: Array) -> Array:
@@ -151,11 +151,11 @@ class WithRows:
 
     def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
         """Gradient (k,) and gram (k, k)."""
-        m, k, own = len(pull) - len(self.added), self.jacobian.shape[2], self.own
+        m, k, inner_count = len(pull) - len(self.added), self.jacobian.shape[2], self.own
         gradient, gram = np.zeros(k), np.zeros((k, k))
         if self.inner is not None:
             inner_bend = None if bend is None else bend[..., :m]
-            gradient[:own], gram[:own, :own] = self.inner.sums(pull[:m], inner_bend)
+            gradient[:inner_count], gram[:inner_count, :inner_count] = self.inner.sums(pull[:m], inner_bend)
         gradient += np.einsum("ri,rik->k", pull[m:], self.jacobian)
         return gradient, gram + self._gram(None if bend is None else bend[..., m:])
 

@@ -93,21 +93,21 @@ class ArmProblem:
 
     def _every_parameter(self, bounds: Bounds, is_tool_free: bool) -> tuple[Parameter, ...]:
         """DH, tool, free frames, corrections: the order of the whole deviation vector."""
-        found = list(dh_parameters(self.model.nominal_dh, bounds))
+        parameters = list(dh_parameters(self.model.nominal_dh, bounds))
         if is_tool_free:
-            found += [
+            parameters += [
                 Parameter(name, "m", float(value), bounds.of_free(name, "m"))
                 for name, value in zip(TOOL_NAMES, self._tool_m, strict=True)
             ]
         for frame in self.free_frames:
-            found += [
+            parameters += [
                 Parameter(name, unit, 0.0, bounds.of_free(name, unit))
                 for name, unit in zip(frame.parameter_names, AXIS_UNITS, strict=True)
             ]
-        found += [
+        parameters += [
             Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical) for c in self.observed.corrections
         ]
-        return tuple(found)
+        return tuple(parameters)
 
     @property
     def free_frames(self) -> tuple[Frame, ...]:
@@ -125,12 +125,12 @@ class ArmProblem:
 
     def of_rows(self, rows: npt.ArrayLike | slice) -> ArmProblem:
         """The problem with the same unknowns for some of the poses (indices, a mask or a slice)."""
-        some = copy.copy(self)
+        subset = copy.copy(self)
         keep = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
-        some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
+        subset.observed, subset.references_m = self.observed.chosen(keep), self.references_m[keep]
         if self._follows is not None:
-            some._follows = self._follows[0][keep], self._follows[1]
-        return some
+            subset._follows = self._follows[0][keep], self._follows[1]
+        return subset
 
     def following(self, by_parameter: Mapping[str, Array], at: ModelValues) -> ArmProblem:
         """The problem where effects follow parameters of the arm: its loads, whose slopes are those at the solution `at`.
@@ -146,9 +146,9 @@ class ArmProblem:
             place[self._tool_at : self._frames_at] = at.tool_m - self._tool_m
         values = [at.corrections.get(one.name, one.nominal) for one in self.observed.corrections]
         place[self._corrections_at :] = np.array(values) - self._start
-        other = copy.copy(self)
-        other._follows = slope, place
-        return other
+        problem = copy.copy(self)
+        problem._follows = slope, place
+        return problem
 
     def solution(self, x: Array) -> ModelValues:
         """The parameters at unknowns x (k,)."""
@@ -206,10 +206,10 @@ class ArmProblem:
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """Residuals (m, 3) and their derivative with respect to x, (m, 3, k)."""
-        found = self.expanded(x, rows)
-        chosen = found.columns[self._places]
+        expansion = self.expanded(x, rows)
+        chosen = expansion.columns[self._places]
         chosen *= -self._scale[:, None, None]
-        return found.residuals, chosen.transpose(2, 1, 0)
+        return expansion.residuals, chosen.transpose(2, 1, 0)
 
     def expanded(self, x: Array, rows: slice = ALL) -> Expansion:
         """Residuals, and sums of their first and second derivatives."""
@@ -271,7 +271,7 @@ class ArmProblem:
         if self.observed.rotation is None:
             raise CalibrationError("these points have no measured orientation")
         rotations, by_measured = self.observed.rotation[rows], np.zeros((len(rows), 3, self._whole_size))
-        which, found = self.observed.frame[rows], np.empty((len(rows), 3, 3))
+        which, turns = self.observed.frame[rows], np.empty((len(rows), 3, 3))
         for index, frame in enumerate(self.observed.frames):
             here = np.flatnonzero(which == index)
             turn = frame.rotation
@@ -281,8 +281,8 @@ class ArmProblem:
                 turn = rotation_of(move[3:]) @ turn
                 first = self._frames_at + 6 * place + 3
                 by_measured[here, :, first : first + 3] = left_jacobian(move[3:])
-            found[here] = turn @ rotations[here]
-        return found, by_measured
+            turns[here] = turn @ rotations[here]
+        return turns, by_measured
 
     def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """The Jacobian (m, 3, k) at poses near the measured ones whose tips are at their references.
@@ -293,9 +293,9 @@ class ArmProblem:
         """
         seated = copy.copy(self) if rows == ALL else self.of_rows(rows)
         for _ in range(SEATING_STEPS if self._free else 0):
-            found = seated.expanded(x)
-            by_joint = found.columns[list(self.model.theta_places)].transpose(2, 1, 0)
-            move = np.einsum("mnk,mk->mn", np.linalg.pinv(by_joint, rcond=REACHABLE), found.residuals)
+            expansion = seated.expanded(x)
+            by_joint = expansion.columns[list(self.model.theta_places)].transpose(2, 1, 0)
+            move = np.einsum("mnk,mk->mn", np.linalg.pinv(by_joint, rcond=REACHABLE), expansion.residuals)
             move *= np.minimum(1.0, SEATING_LIMIT_rad / np.maximum(norms(move), 1e-300))[:, None]
             seated.observed = dataclasses.replace(seated.observed, q_rad=seated.observed.q_rad + move)
         return seated.residuals_and_jacobian(x)[1]
