@@ -41,44 +41,44 @@ from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
 
 
-def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
+def answered(prepared: Looked, linearised: Around, decision: Decision) -> StaticGap:
     """The finding of a decision, with what its report draws; `prepared`: as it was before the search, which has another noise."""
-    looked = around.looked
+    looked = linearised.looked
     best, points, parts = decision.best, looked.points, looked.parts
     warnings = [*looked.warnings, *about_orientations(points, looked.floor), *about_outliers(points, looked.out)]
 
     def told(withdrawn: Collection[Key] = ()) -> Told:
-        return Told.by(around.evidence, best, SHARED, looked.told, withdrawn)
+        return Told.by(linearised.evidence, best, SHARED, looked.told, withdrawn)
 
     others = looked.told
     firmer = [] if others is None else [name for name in decision.names if others.knows_better(name, told())]
-    decision, estimates, reasons = _borne_out(around, decision, firmer)
-    left = around.fitted(best)[1]
-    floor = looked.refloored(left).floor
+    decision, estimates, reasons = _borne_out(linearised, decision, firmer)
+    residual = linearised.fitted(best)[1]
+    floor = looked.refloored(residual).floor
     if floor.doubt >= UNMEASURED:
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
-    order = _ordered(around, best, changed)
-    beside = _open_members(around, decision)
+    order = _ordered(linearised, best, changed)
+    beside = _open_members(linearised, decision)
     decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
     last, given = files[-1], placed(looked.arm, points, parts.known)
-    nominal, lefts = given.left(), [one.fit.left() for one in files]
-    gaps = [left.times(floor.tip_m, floor.turn_rad, parts.report) for left in lefts]
+    nominal, residuals = given.left(), [file.fit.left() for file in files]
+    gaps = [residual.times(floor.tip_m, floor.turn_rad, parts.report) for residual in residuals]
     effects = [
-        _named(around, decision, last, name, estimates[name], gap)
+        _named(linearised, decision, last, name, estimates[name], gap)
         for name, gap in zip(order, gaps[1 : len(order) + 1], strict=True)
     ]
-    as_given, refitted = (_square(left, floor, parts.known) for left in (nominal, lefts[0]))
+    as_given, refitted = (_square(residual, floor, parts.known) for residual in (nominal, residuals[0]))
     if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].found.rank):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
     if not effects and not last.arm.maps:
         # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
-        last, lefts = dataclasses.replace(last, arm=looked.arm, fit=given), [nominal]
-    finding = _finding(around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]))
-    corrected = {one.joint for one in last.arm.maps}
+        last, residuals = dataclasses.replace(last, arm=looked.arm, fit=given), [nominal]
+    finding = _finding(linearised, decision, reasons, tuple(effects), floor, (nominal, residuals[-1]))
+    corrected = {correction.joint for correction in last.arm.maps}
     held = (*decision.names, *(name for name in beside if name.joint in corrected))
-    departing = around.fitted(_named_alone(around, best, held))[1]
+    departing = linearised.fitted(_named_alone(linearised, best, held))[1]
     finding = dataclasses.replace(
         finding, gap_explained=departing.times(floor.tip_m, floor.turn_rad, parts.report), maps=_maps(last, parts.report)
     )
@@ -89,7 +89,7 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
         )
     warnings += about_fit(looked.arm, last.found, floor, looked.floor.tip_m * best.kappa)
     steps = [*map(str, order), *map(str, last.arm.maps[:1])]
-    grown = [(step, own.tip_m) for step, own in zip(steps, lefts[1:], strict=True)]
+    grown = [(step, residual.tip_m) for step, residual in zip(steps, residuals[1:], strict=True)]
     return StaticGap(
         looked.arm,
         last.arm,
@@ -97,13 +97,13 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
         points,
         parts,
         floor,
-        (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown),
+        (("nominal", nominal.tip_m), ("link geometry", residuals[0].tip_m), *grown),
         last.fit.problem,
         last.fit.x,
         tuple(warnings),
         prepared,
         load_of(looked.arm, points),
-        drawn_laws(around, best, order, left.tip_m),
+        drawn_laws(linearised, best, order, residual.tip_m),
         told(reasons),
     )
 
@@ -111,7 +111,7 @@ def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
 def _files(
     looked: Looked,
     decision: Decision,
-    found: Mapping[EffectName, Estimated],
+    estimates: Mapping[EffectName, Estimated],
     beside: Mapping[EffectName, Parameters],
     firmer: Collection[EffectName],
     reasons: Mapping[EffectName, str],
@@ -119,7 +119,7 @@ def _files(
     """The file with the geometry alone, then with one name more at a time, last with the maps of what sets share, if these help
     poses that nobody fitted; without names that it cannot hold. `firmer`: names whose values other recordings know better.
     """
-    named = {name: {} if _is_nothing(own) else own.parameters for name, own in found.items()}
+    named = {name: {} if _is_nothing(estimate) else estimate.parameters for name, estimate in estimates.items()}
     arm, points, rows, keys = looked.arm, looked.points, looked.parts.known, list(named)
     last = File.of(arm, points, rows, named, beside, firmer)
     impossible = [name for name in keys if named[name] and not last.has(name)]
@@ -127,7 +127,7 @@ def _files(
         why = {name: f"{name} was identified with impossible values" for name in impossible}
         names = tuple(name for name in decision.names if name not in why)
         decision = dataclasses.replace(decision, names=names, remainders=(*decision.remainders, *((name,) for name in why)))
-        kept = {name: own for name, own in found.items() if name not in why}
+        kept = {name: estimate for name, estimate in estimates.items() if name not in why}
         return _files(looked, decision, kept, beside, firmer, {**reasons, **why})
     if last.unshared is not None:
         with_maps, without = (_square(one.fit.left(), looked.floor, looked.parts.report) for one in (last, last.unshared))
@@ -147,28 +147,28 @@ def _maps(file: File, report: Mask) -> MeasuredMaps | None:
     return MeasuredMaps(file.arm.maps, (MapCheck("tip_m", None, before, after),))
 
 
-def _open_members(around: Around, decision: Decision) -> dict[EffectName, Parameters]:
+def _open_members(linearised: Around, decision: Decision) -> dict[EffectName, Parameters]:
     """Of every ambiguous set one beside the names, with its first estimate, if there is one: the likeliest that a map can follow,
     else what the best set has.
     """
-    best, found = decision.best, {}
-    present = {around.terms[k].key for k, _ in best.members}
+    best, members = decision.best, {}
+    present = {linearised.terms[k].key for k, _ in best.members}
     for group in decision.ambiguous:
-        some = sorted(group, key=lambda name: (name not in present, -decision.probability.get(name, 0.0)))
-        for name in [name for name in some if follows(name)][:1] or [name for name in some if name in present]:
+        ranked = sorted(group, key=lambda name: (name not in present, -decision.probability.get(name, 0.0)))
+        for name in [name for name in ranked if follows(name)][:1] or [name for name in ranked if name in present]:
             if name not in decision.names:
-                own = estimated(around.evidence, best, name).parameters if name in present else {}
-                found[name] = own if is_possible(name.effect, own) else {}
-    return found
+                parameters = estimated(linearised.evidence, best, name).parameters if name in present else {}
+                members[name] = parameters if is_possible(name.effect, parameters) else {}
+    return members
 
 
-def _named_alone(around: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:
+def _named_alone(linearised: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:
     """The set without what has no name; its laws depart as they do."""
-    return dataclasses.replace(best, members=tuple(one for one in best.members if around.terms[one[0]].key in names))
+    return dataclasses.replace(best, members=tuple(member for member in best.members if linearised.terms[member[0]].key in names))
 
 
-def _square(left: Left, floor: Floor, rows: Mask) -> float:
-    return left.times(floor.tip_m, floor.turn_rad, rows) ** 2
+def _square(residual: Left, floor: Floor, rows: Mask) -> float:
+    return residual.times(floor.tip_m, floor.turn_rad, rows) ** 2
 
 
 def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
@@ -182,7 +182,7 @@ def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
 
 
 def _finding(
-    around: Around,
+    linearised: Around,
     decision: Decision,
     reasons: Mapping[EffectName, str],
     effects: tuple[NamedEffect, ...],
@@ -190,13 +190,13 @@ def _finding(
     ends: tuple[Left, Left],
 ) -> GapFinding:
     """`ends`: what is left before and after."""
-    looked, report = around.looked, around.looked.parts.report
+    looked, report = linearised.looked, linearised.looked.parts.report
     (before_si, after_si), (before, after) = zip(
         *((left.sizes(report), left.times(floor.tip_m, floor.turn_rad, report)) for left in ends), strict=True
     )
     noise = {channel: size for channel, size in floor.sizes.items() if channel in before_si}
-    remainder, unknown = remainders(around, decision, reasons), unknown_part(around, decision, reasons)
-    could = nameable(around.evidence)
+    remainder, unknown = remainders(linearised, decision, reasons), unknown_part(linearised, decision, reasons)
+    could = nameable(linearised.evidence)
     has_free = "free" in looked.points.setup
     return GapFinding(
         arm=looked.arm.name,
@@ -218,63 +218,63 @@ def _finding(
 
 
 def _borne_out(
-    around: Around, decision: Decision, firmer: Collection[EffectName]
+    linearised: Around, decision: Decision, firmer: Collection[EffectName]
 ) -> tuple[Decision, Mapping[EffectName, Estimated], Mapping[EffectName, str]]:
     """Without names that the data do not bear out, which become remainders, each with its reason; without blocks that no
     pose that was left out shows.
     """
     best = decision.best
-    estimates = {name: estimated(around.evidence, best, name) for name in decision.names}
-    kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
-    nameless = [k for k, _ in best.members if any(around.terms[k].key in group for group in kept)]
+    estimates = {name: estimated(linearised.evidence, best, name) for name in decision.names}
+    shown = [group for group in decision.remainders if _shows_elsewhere(linearised, best, group)]
+    nameless = [k for k, _ in best.members if any(linearised.terms[k].key in group for group in shown)]
     there = [*decision.names, *(name for names in decision.ambiguous for name in names)]
 
-    def why_not(name: EffectName, own: Estimated) -> str:
+    def why_not(name: EffectName, estimate: Estimated) -> str:
         """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing; that, and what other
         recordings know better, is not for these poses to bear out.
         """
-        is_known = name in firmer or _known(around.looked.arm, name) is not None
-        if _is_nothing(own):
+        is_known = name in firmer or _known(linearised.looked.arm, name) is not None
+        if _is_nothing(estimate):
             is_right = is_known or name.effect == FRAME
             return "" if is_right else f"{name} acts, but these poses do not tell how large it is"
-        if not is_possible(name.effect, own.parameters):
+        if not is_possible(name.effect, estimate.parameters):
             return f"{name} was identified with impossible values"
-        if own.departure > LAW_MOST:
+        if estimate.departure > LAW_MOST:
             return f"{name} departs too far from its law"
-        if not is_known and not holds_on_others(around, best, name, there):
+        if not is_known and not holds_on_others(linearised, best, name, there):
             return f"{name} does not improve held-out poses"
-        if not is_known and _may_be_error_of(around, best, name, nameless):
+        if not is_known and _may_be_error_of(linearised, best, name, nameless):
             return f"{name} is no larger than the error of the unexplained residual"
         return ""
 
-    reasons = {name: why for name, own in estimates.items() if (why := why_not(name, own))}
+    reasons = {name: why for name, estimate in estimates.items() if (why := why_not(name, estimate))}
     names = tuple(name for name in decision.names if name not in reasons)
-    remainders = (*kept, *((name,) for name in reasons))
+    remainders = (*shown, *((name,) for name in reasons))
     return dataclasses.replace(decision, names=names, remainders=remainders), estimates, reasons
 
 
-def _may_be_error_of(around: Around, best: Weighed, name: EffectName, nameless: Sequence[int]) -> bool:
+def _may_be_error_of(linearised: Around, best: Weighed, name: EffectName, nameless: Sequence[int]) -> bool:
     """Whether blocks without a name explain so much more than a name that their error would pass for it.
 
     A block is no law: what it stands for differs from it by at least as much as the roughest part from its law.
     """
-    own = next(k for k, _ in best.members if around.terms[k].key == name)
-    if not nameless or around.terms[own].slope_Nm is not None:  # the currents speak for a torque
+    number = next(k for k, _ in best.members if linearised.terms[k].key == name)
+    if not nameless or linearised.terms[number].slope_Nm is not None:  # the currents speak for a torque
         return False
-    explained, *others = (share_of(around.evidence, best, [k]) for k in (own, *nameless))
+    explained, *others = (share_of(linearised.evidence, best, [k]) for k in (number, *nameless))
     return explained < LAW_MOST**2 * sum(others)
 
 
-def _is_nothing(own: Estimated) -> bool:
+def _is_nothing(estimate: Estimated) -> bool:
     """Whether the size that was found may as well be none."""
-    return not own.differs_from(np.zeros_like(own.value))
+    return not estimate.differs_from(np.zeros_like(estimate.value))
 
 
-def _shows_elsewhere(around: Around, best: Weighed, group: tuple[Key, ...]) -> bool:
+def _shows_elsewhere(linearised: Around, best: Weighed, group: tuple[Key, ...]) -> bool:
     """Whether the blocks of a remainder that are in the best set help poses that they were not fitted to."""
-    present = {around.terms[k].key for k, _ in best.members}
+    present = {linearised.terms[k].key for k, _ in best.members}
     blocks = [key for key in group if isinstance(key, Block) and key in present]
-    return not blocks or any(shows_in_others(around, best, key) for key in blocks)
+    return not blocks or any(shows_in_others(linearised, best, key) for key in blocks)
 
 
 def _known(arm: Arm, name: EffectName) -> Effect | None:
@@ -282,38 +282,38 @@ def _known(arm: Arm, name: EffectName) -> Effect | None:
     return next((one for one in arm.effects if (one.effect, one.joint) == (name.effect, name.joint)), None)
 
 
-def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
+def _is_new(arm: Arm, name: EffectName, estimate: Estimated) -> bool:
     """Whether the total differs from what the arm's file has."""
     known = _known(arm, name)
     if known is None:
-        return not _is_nothing(found)
+        return not _is_nothing(estimate)
     before = () if is_load(name.effect) else linear_values(name.effect, known.parameters)
     if before:
-        return found.differs_from(np.array(before))
+        return estimate.differs_from(np.array(before))
     return any(
         key not in known.parameters or not abs(value - known.parameters[key]) <= SURE_sd * sd
-        for key, (value, sd) in found.parameters.items()
+        for key, (value, sd) in estimate.parameters.items()
     )
 
 
-def _ordered(around: Around, best: Weighed, names: Sequence[EffectName]) -> list[EffectName]:
+def _ordered(linearised: Around, best: Weighed, names: Sequence[EffectName]) -> list[EffectName]:
     """By the share that each explains."""
-    numbers = {around.terms[k].key: k for k, _ in best.members}
+    numbers = {linearised.terms[k].key: k for k, _ in best.members}
     present = [name for name in names if name in numbers]
-    return sorted(present, key=lambda name: -share_of(around.evidence, best, [numbers[name]]))
+    return sorted(present, key=lambda name: -share_of(linearised.evidence, best, [numbers[name]]))
 
 
-def _named(around: Around, decision: Decision, file: File, name: EffectName, found: Estimated, gap_after: float) -> NamedEffect:
-    numbers = {around.terms[k].key: k for k, _ in decision.best.members}
-    is_nothing = _is_nothing(found)  # without parameters: a stiffness is then anything from some size on
+def _named(linearised: Around, decision: Decision, file: File, name: EffectName, estimate: Estimated, gap: float) -> NamedEffect:
+    numbers = {linearised.terms[k].key: k for k, _ in decision.best.members}
+    is_nothing = _is_nothing(estimate)  # without parameters: a stiffness is then anything from some size on
     return NamedEffect(
         name,
-        {} if is_nothing else file.parameters(name, found.parameters),
-        gap_after,
+        {} if is_nothing else file.parameters(name, estimate.parameters),
+        gap,
         probability=decision.probability[name],
-        share=share_of(around.evidence, decision.best, [numbers[name]]),
-        departure=found.departure,
-        variable=found.variable,
+        share=share_of(linearised.evidence, decision.best, [numbers[name]]),
+        departure=estimate.departure,
+        variable=estimate.variable,
         is_nothing=is_nothing,
     )
 

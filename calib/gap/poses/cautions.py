@@ -61,14 +61,14 @@ def _require_bearable(arm: Arm, points: Points) -> None:
 def cleaned(points: Points) -> Points:
     """The same, currents that never change taken out: nobody measured them."""
     current = np.array(points.current_A)
-    for own in current.T:
-        if _is_constant(own):
-            own[:] = np.nan
+    for column in current.T:
+        if _is_constant(column):
+            column[:] = np.nan
     return dataclasses.replace(points, current_A=frozen(current))
 
 
-def _is_constant(own: Array) -> bool:
-    known = own[np.isfinite(own)]
+def _is_constant(column: Array) -> bool:
+    known = column[np.isfinite(column)]
     return len(known) > 1 and bool(np.ptp(known) == 0.0)
 
 
@@ -131,16 +131,16 @@ def _about_currents(arm: Arm, points: Points) -> Iterator[str]:
         yield "there are no holding currents (i1_A ...): payload, masses and torque constants are not tried"
         return
     for drive in arm.drives:
-        own = points.current_A[:, drive.joint - 1]
-        count = int(np.sum(np.abs(own) >= SATURATED * drive.current_limit_A))
-        if count > 0 and np.nanmedian(np.abs(own)) > MILLI * drive.current_limit_A:
+        current_A = points.current_A[:, drive.joint - 1]
+        count = int(np.sum(np.abs(current_A) >= SATURATED * drive.current_limit_A))
+        if count > 0 and np.nanmedian(np.abs(current_A)) > MILLI * drive.current_limit_A:
             yield f"i{drive.joint}_A is far beyond the drive's limit of {drive.current_limit_A:g} A: milliamperes? Not used"
         elif count:
             yield (
                 f"i{drive.joint}_A is at the drive's limit of {drive.current_limit_A:g} A in {count} poses: the joint may not"
                 " have stood where it was sent, and these currents are not used"
             )
-        if _is_constant(own):
+        if _is_constant(current_A):
             yield f"i{drive.joint}_A never changes: the column seems not to be measured, and is not used"
 
 
@@ -162,11 +162,11 @@ def _about_loads(arm: Arm, points: Points) -> Iterator[str]:
 
 
 def _about_travel(points: Points) -> Iterator[str]:
-    for j, own in enumerate(points.q_rad.T):
-        steps, travel = np.diff(np.sort(own)), float(np.ptp(own))
-        if len(own) >= FEW_POSES and travel > 0.0 and steps.max() > GAP_SHARE * travel:
+    for j, q_rad in enumerate(points.q_rad.T):
+        steps, travel = np.diff(np.sort(q_rad)), float(np.ptp(q_rad))
+        if len(q_rad) >= FEW_POSES and travel > 0.0 and steps.max() > GAP_SHARE * travel:
             at = int(np.argmax(steps))
-            low, high = np.sort(own)[at], np.sort(own)[at + 1]
+            low, high = np.sort(q_rad)[at], np.sort(q_rad)[at + 1]
             yield (
                 f"no pose has q{j + 1}_rad between {low:.2f} and {high:.2f}, {100 * steps.max() / travel:.0f} % of its travel:"
                 " what happens there is not known"
@@ -183,25 +183,25 @@ def about_outliers(points: Points, out: Mask) -> Iterator[str]:
     """Which poses are left out."""
     rows = np.flatnonzero(out)
     if len(rows):
-        told = ", ".join(
+        listed = ", ".join(
             f"{row + 1} ({points.setup[row]}, {points.point[row]}, line {points.lines[row]})" for row in rows[:5].tolist()
         )
         more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
         yield (
-            f"{len(rows)} of {len(points)} poses are far from what any effect explains and are left out: {told}{more}; swapped,"
+            f"{len(rows)} of {len(points)} poses are far from what any effect explains and are left out: {listed}{more}; swapped,"
             " or the marker was lost?"
         )
 
 
-def about_fit(arm: Arm, found: Identification, floor: Floor, noise_m: float) -> Iterator[str]:
+def about_fit(arm: Arm, fit: Identification, floor: Floor, noise_m: float) -> Iterator[str]:
     """What the identification itself says against the answer; noise_m: what the best set of effects leaves."""
-    bounded, times = found.binding, noise_m / floor.tip_m
+    bounded, times = fit.binding, noise_m / floor.tip_m
     if len(bounded) >= BOUNDED_LEAST and times > INFLATED:
         yield (
             f"the geometry ends at its bounds ({', '.join(bounded[:6])}) and leaves {times:.1f} times the noise: are these poses"
             f" of arm {arm.name}, with its zeros?"
         )
-    yield from about_settling(found)
+    yield from about_settling(fit)
     if floor.doubt >= UNMEASURED:
         yield f"the noise is {floor.source}: {TO_MEASURE_NOISE}, or give [camera] position_noise_m"
     if times > INFLATED:

@@ -45,14 +45,14 @@ class Currents:
 
     def seen(self, rows: Mask) -> Array:
         """All columns at the poses `rows` (m,), joint after joint, in standard deviations; friction is integrated out."""
-        found = [np.zeros((0, len(self.columns_Nm)))]
+        blocks = [np.zeros((0, len(self.columns_Nm)))]
         for j, sd in enumerate(self.sd_Nm):
             keep = rows & self.usable[:, j]
             if keep.sum() >= POSES_LEAST and np.isfinite(sd):
                 along, size, _ = np.linalg.svd(self.friction[j][keep] / sd, full_matrices=False)
-                own = self.columns_Nm[:, keep, j].T / sd
-                found.append(own + along @ (((1.0 + size**2) ** -0.5 - 1.0)[:, None] * (along.T @ own)))
-        return np.concatenate(found)
+                columns = self.columns_Nm[:, keep, j].T / sd
+                blocks.append(columns + along @ (((1.0 + size**2) ** -0.5 - 1.0)[:, None] * (along.T @ columns)))
+        return np.concatenate(blocks)
 
 
 def holding_currents(fit: Fit, arm: Arm, points: Points, turn_rad: Array, terms: Sequence[Term]) -> Currents | None:
@@ -75,15 +75,15 @@ def holding_currents(fit: Fit, arm: Arm, points: Points, turn_rad: Array, terms:
     by_joint = _by_joint(shaped, points, joint_rad, gravity)
     torque = np.where(usable, points.current_A * per_A - gravity, 0.0)
     y = torque + np.einsum("kmn,k->mn", by_geometry, fit.x) + np.einsum("mni,mi->mn", by_joint, turn_rad)
-    own = [np.zeros((one.count, *torque.shape)) if one.slope_Nm is None else one.slope_Nm for one in terms]
-    moved = [0.0 if one.slope_rad is None else np.einsum("mni,cmi->cmn", by_joint, one.slope_rad) for one in terms]
+    slopes_Nm = [np.zeros((term.count, *torque.shape)) if term.slope_Nm is None else term.slope_Nm for term in terms]
+    moved = [0.0 if term.slope_rad is None else np.einsum("mni,cmi->cmn", by_joint, term.slope_rad) for term in terms]
     target = 0 if fit.target is None else 3
-    columns = np.concatenate([by_geometry, np.zeros((target, *torque.shape)), *map(np.add, own, moved), y[None]])
+    columns = np.concatenate([by_geometry, np.zeros((target, *torque.shape)), *map(np.add, slopes_Nm, moved), y[None]])
     unsure = _lever_errors_Nm(arm, points, gravity)
     friction = np.stack(
         [np.column_stack((_friction(points, gravity, torque, j), unsure[:, j])) for j in range(points.joint_count)]
     )
-    laws = [one.slope_Nm[: one.laws] for one in terms if one.is_name and one.slope_Nm is not None]
+    laws = [term.slope_Nm[: term.laws] for term in terms if term.is_name and term.slope_Nm is not None]
     acting = np.concatenate([by_geometry, *laws])
     sd = np.array([_scatter(friction[j], acting[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))])
     return Currents(columns, usable, friction, CAUTION * sd)
@@ -91,14 +91,14 @@ def holding_currents(fit: Fit, arm: Arm, points: Points, turn_rad: Array, terms:
 
 def _by_geometry(fit: Fit, arm: Arm, points: Points, joint_rad: Array, gravity: Array) -> Array:
     """How gravity's torques follow the unknowns of a fit, (K, m, n): lengths and angles of links, and the tool with its load."""
-    found = np.zeros((len(fit.x), *gravity.shape))
+    slopes = np.zeros((len(fit.x), *gravity.shape))
     here = fit.problem.solution(fit.x)
     for k in range(len(fit.x)):
         there = dataclasses.replace(fit, x=fit.x + STEP * (np.arange(len(fit.x)) == k))
         solution = fit.problem.solution(there.x)
         if (solution.dh != here.dh).any() or (solution.tool_m != here.tool_m).any():
-            found[k] = (gravity_Nm(there.shaped(arm), joint_rad, stated_kg(points)) - gravity) / STEP
-    return found
+            slopes[k] = (gravity_Nm(there.shaped(arm), joint_rad, stated_kg(points)) - gravity) / STEP
+    return slopes
 
 
 def _by_joint(arm: Arm, points: Points, joint_rad: Array, gravity: Array) -> Array:
@@ -129,7 +129,7 @@ def _scatter(friction: Array, columns: Array, torque: Array, usable: Mask) -> fl
     whole = np.column_stack((friction, columns.T))[usable]
     if len(whole) < POSES_LEAST:
         return float("nan")
-    found, _, rank, _ = np.linalg.lstsq(whole, torque[usable], rcond=1e-9)
-    left = torque[usable] - whole @ found
+    size, _, rank, _ = np.linalg.lstsq(whole, torque[usable], rcond=1e-9)
+    residual = torque[usable] - whole @ size
     resolution = RESOLUTION * float(np.abs(torque[usable]).max())
-    return max(float(np.sqrt(left @ left / max(1, len(left) - int(rank)))), resolution) or float("nan")
+    return max(float(np.sqrt(residual @ residual / max(1, len(residual) - int(rank)))), resolution) or float("nan")

@@ -70,46 +70,46 @@ class File:
         follows.
         Stages on the way to the last file are fitted from one start, as they are only drawn.
         """
-        gone = {(name.effect, name.joint) for name, own in named.items() if not own}
-        kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
+        gone = {(name.effect, name.joint) for name, parameters in named.items() if not parameters}
+        kept = tuple(effect for effect in arm.effects if (effect.effect, effect.joint) not in gone)
         bare = dataclasses.replace(arm, effects=kept, maps=())
         freed = (BASE,) if EffectName(FRAME) in {**named, **beside} else ()
 
-        def identify(begun: Arm, own: Mapping[EffectName, Parameters], is_free: bool) -> tuple[Identification, Arm]:
+        def identify(begun: Arm, init: Mapping[EffectName, Parameters], is_free: bool) -> tuple[Identification, Arm]:
             sought = [
-                name for name in own if is_free and (own[name] or name in beside) and name.effect in LAWS and name not in firmer
+                name for name in init if is_free and (init[name] or name in beside) and name.effect in LAWS and name not in firmer
             ]
             # what poses do not determine stays as the given arm has it, as `calibrate` leaves it
-            stated = [name for name in own if own[name] and (name not in sought or name.effect == DRIFT)]
-            begun = with_totals(begun, [effect_of(name, own[name]) for name in stated])
+            stated = [name for name in init if init[name] and (name not in sought or name.effect == DRIFT)]
+            begun = with_totals(begun, [effect_of(name, init[name]) for name in stated])
             keys = [name.effect if name.joint is None else f"{name.effect}:{name.joint}" for name in sought]
             choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
             plan = CalibrationPlan(choice) if is_last else CalibrationPlan(choice, LeastSquares(), starts_count=1)
-            _, found = identified(begun, points, plan, rows)
-            return found, calibrated_arm(begun, found, points)
+            _, fit = identified(begun, points, plan, rows)
+            return fit, calibrated_arm(begun, fit, points)
 
-        acting = {name: own for name, own in {**named, **beside}.items() if name.effect != FRAME}
-        found, made = identify(bare, acting, True)
-        sd = {one.parameter.name: one.sd for one in found.estimates}
+        acting = {name: parameters for name, parameters in {**named, **beside}.items() if name.effect != FRAME}
+        fit, made = identify(bare, acting, True)
+        sd = {estimate.parameter.name: estimate.sd for estimate in fit.estimates}
 
-        def file(found: Identification, made: Arm, unshared: File | None = None) -> File:
+        def file(fit: Identification, made: Arm, unshared: File | None = None) -> File:
             read = parse_arm(arm_text(made), Path(f"{arm.name}.toml"))
-            return cls(dataclasses.replace(read, path=arm.path), found, sd, placed(read, points, rows), unshared)
+            return cls(dataclasses.replace(read, path=arm.path), fit, sd, placed(read, points, rows), unshared)
 
         if not beside:
-            return file(found, made)
-        values = [one for one in made.effects if EffectName(one.effect, one.joint) in named]
+            return file(fit, made)
+        values = [effect for effect in made.effects if EffectName(effect.effect, effect.joint) in named]
         without = file(*identify(with_totals(bare, values), {}, False))
         maps = _shared(made, beside, points, rows)
         if not maps:
             return without
-        rest = tuple(one for one in bare.effects if (one.effect, one.joint) not in maps)
+        rest = tuple(effect for effect in bare.effects if (effect.effect, effect.joint) not in maps)
         shared = dataclasses.replace(bare, effects=rest, maps=tuple(maps.values()))
-        others = tuple(one for one in made.effects if one.effect == FRAME or EffectName(one.effect, one.joint) not in beside)
+        others = tuple(e for e in made.effects if e.effect == FRAME or EffectName(e.effect, e.joint) not in beside)
         # what was identified beside the laws fits maps that do the same; begun anew, beside maps, it may end elsewhere
-        as_laws = file(found, dataclasses.replace(made, effects=others, maps=shared.maps), without)
+        as_laws = file(fit, dataclasses.replace(made, effects=others, maps=shared.maps), without)
         anew = file(*identify(with_totals(shared, values), {}, False), without)
-        return min(as_laws, anew, key=lambda one: one.fit.left().sizes(rows)["tip_m"])
+        return min(as_laws, anew, key=lambda candidate: candidate.fit.left().sizes(rows)["tip_m"])
 
     def has(self, name: EffectName) -> bool:
         """Whether the file has the effect: a width or a softness below nought is none."""
@@ -123,17 +123,17 @@ class File:
         apart where something acts that the file does not hold, such as one of an ambiguous set.
         """
         effect = _of(self.arm, name)
-        own: Parameters = {}
+        of_fit: Parameters = {}
         terms = [one.name(name.joint) for one in LAWS.get(name.effect, ()) if not one.is_side]
         if terms and all(term in self.sd for term in terms):
             values = np.array(linear_values(name.effect, effect.parameters))
-            own = parameters_of(name.effect)(values, np.diag([self.sd[term] ** 2 for term in terms]))
-        found = {}
+            of_fit = parameters_of(name.effect)(values, np.diag([self.sd[term] ** 2 for term in terms]))
+        parameters = {}
         for key, value in effect.parameters.items():
             before, sd = first.get(key, (value, math.nan))
             apart = value - before if key != "phase_rad" else math.remainder(value - before, 2.0 * math.pi)
-            found[key] = (value, math.hypot(float(np.fmax(sd, own.get(key, (0.0, math.nan))[1])), apart))
-        return found
+            parameters[key] = (value, math.hypot(float(np.fmax(sd, of_fit.get(key, (0.0, math.nan))[1])), apart))
+        return parameters
 
     def is_between_flanks(self, points: Points) -> Mask:
         """Poses (m,) of which nothing tells the flank of a loose gear: whoever reads the file takes its play's middle."""
@@ -146,25 +146,25 @@ def _shared(
     arm: Arm, beside: Mapping[EffectName, Parameters], points: Points, rows: Mask
 ) -> dict[tuple[str, int | None], CorrectionMap]:
     """What effects of an arm do to their joints' angles at poses of a mask (m,), as maps, at most one a joint and variable."""
-    found: dict[tuple[str, int | None], CorrectionMap] = {}
+    maps: dict[tuple[str, int | None], CorrectionMap] = {}
     at = resting_points(arm, points)
-    for one in arm.effects:
-        name = EffectName(one.effect, one.joint)
+    for effect in arm.effects:
+        name = EffectName(effect.effect, effect.joint)
         over = follows(name)
-        if name not in beside or over is None or one.joint is None:
+        if name not in beside or over is None or effect.joint is None:
             continue
-        x = (at.q_rad(one.joint) if over == "angle_rad" else at.gravity_Nm(one.joint))[rows]
-        laws = [law.slope(at, one.joint)[rows] for law in LAWS[one.effect] if not law.is_side]
-        added = linear_values(one.effect, one.parameters) @ np.array(laws)
+        x = (at.q_rad(effect.joint) if over == "angle_rad" else at.gravity_Nm(effect.joint))[rows]
+        laws = [law.slope(at, effect.joint)[rows] for law in LAWS[effect.effect] if not law.is_side]
+        added = linear_values(effect.effect, effect.parameters) @ np.array(laws)
         lower, upper = float(x.min()), float(x.max())
-        taken = {(other.joint, other.over) for other in found.values()}
-        if lower < upper and (one.joint, over) not in taken and np.abs(added).max() < LARGEST_rad:
+        taken = {(other.joint, other.over) for other in maps.values()}
+        if lower < upper and (effect.joint, over) not in taken and np.abs(added).max() < LARGEST_rad:
             columns = spline_columns(NODES, lower, upper, False, x).toarray()
             bends = SMOOTH * np.diff(np.eye(NODES), 2, axis=0)
             whole = np.vstack((columns, bends)), np.concatenate((added, np.zeros(len(bends))))
-            values = node_values(np.linalg.lstsq(*whole)[0], False)
-            found[one.effect, one.joint] = CorrectionMap(one.joint, "angle_rad", over, tuple(values.tolist()), lower, upper)
-    return found
+            values = tuple(node_values(np.linalg.lstsq(*whole)[0], False).tolist())
+            maps[effect.effect, effect.joint] = CorrectionMap(effect.joint, "angle_rad", over, values, lower, upper)
+    return maps
 
 
 def follows(name: EffectName) -> Over | None:

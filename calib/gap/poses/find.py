@@ -52,15 +52,15 @@ def find(arm: Arm, points: Points, advance: Advance = silent, without: Collectio
 def look(prepared: Looked, advance: Advance = silent, told: Told | None = None) -> StaticGap:
     """The answer of poses whose geometry is fitted; `told` is what other recordings of the arm tell of its effects."""
     prepared = replace(prepared, told=told)
-    around, decision = _searched(prepared, advance)
+    linearised, decision = _searched(prepared, advance)
     if skewed := _skewed(prepared.arm, decision):
         # geometry that DH rows do not hold: everything beside it is looked at anew
         arm = functools.reduce(with_tilt_behind, skewed, prepared.arm)
-        said = (*prepared.warnings, _tilted(arm, skewed))
-        prepared = replace(_prepared(arm, prepared.points, prepared.without, said), told=told)
-        around, decision = _searched(prepared, advance)
+        warnings = (*prepared.warnings, _tilted(arm, skewed))
+        prepared = replace(_prepared(arm, prepared.points, prepared.without, warnings), told=told)
+        linearised, decision = _searched(prepared, advance)
     advance("reporting", 0.85)
-    return answered(prepared, around, decision)
+    return answered(prepared, linearised, decision)
 
 
 def _skewed(arm: Arm, decision: Decision) -> list[int]:
@@ -80,9 +80,9 @@ def _tilted(arm: Arm, joints: Sequence[int]) -> str:
 
 def _prepared(arm: Arm, points: Points, without: Collection[str], warnings: tuple[str, ...]) -> Looked:
     """The geometry alone fitted, outliers left out, the noise found."""
-    own = [one for one in arm.effects if are_total_in_poses(one.effect) and one.effect not in without]
-    loads = [one for one in own if is_load(one.effect)]
-    bare_arm = replace(arm, effects=tuple(one for one in arm.effects if one not in own))
+    totals = [effect for effect in arm.effects if are_total_in_poses(effect.effect) and effect.effect not in without]
+    loads = [effect for effect in totals if is_load(effect.effect)]
+    bare_arm = replace(arm, effects=tuple(effect for effect in arm.effects if effect not in totals))
     loaded = replace(bare_arm, effects=(*bare_arm.effects, *loads))
     parts = split(points)
     fit = Fit.to(problem_of(bare_arm, points, Choice().for_points(bare_arm, points)), parts.known)
@@ -90,18 +90,18 @@ def _prepared(arm: Arm, points: Points, without: Collection[str], warnings: tupl
     scene = PoseScene.of(fitted, replace(fitted, effects=loaded.effects), points, fit.problem.observed.q_rad)
     variants = _laws(scene, without)
     laws = [middle(same) for same in variants]
-    left = fit.left()
-    first = noise_floor(arm, points, left)
-    scatter_m = _scatter_m(first, left.tip_m)
+    residual = fit.left()
+    first = noise_floor(arm, points, residual)
+    scatter_m = _scatter_m(first, residual.tip_m)
     linear = Linear.around(fit, replace(first, tip_m=scatter_m).lever_m, laws)
     out = outlying(linear, variants, scatter_m)
     if out.any():
         parts = parts.without(out)
         fit = Fit.to(fit.problem, parts.known)
-        left = fit.left()
-    floor = noise_floor(arm, points, left, out)
+        residual = fit.left()
+    floor = noise_floor(arm, points, residual, out)
     if not math.isfinite(floor.tip_m):
-        richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, left.tip_m)
+        richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, residual.tip_m)
         floor = replace(richest, turn_rad=floor.turn_rad)
     return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out, without, warnings)
 
@@ -109,9 +109,9 @@ def _prepared(arm: Arm, points: Points, without: Collection[str], warnings: tupl
 def _laws(scene: PoseScene, without: Collection[str]) -> list[list[Term]]:
     """The law of every effect on every joint in all its variants, without departures."""
     variants: dict[Key, list[Term]] = {}
-    for one in pose_terms(scene):
-        if isinstance(one.key, EffectName) and one.key.effect not in without:
-            variants.setdefault(one.key, []).append(one.law_alone())
+    for term in pose_terms(scene):
+        if isinstance(term.key, EffectName) and term.key.effect not in without:
+            variants.setdefault(term.key, []).append(term.law_alone())
     return list(variants.values())
 
 
@@ -133,9 +133,9 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
             f"the noise of these points is not known: {TO_MEASURE_NOISE}, or give [camera] position_noise_m in arm.toml"
         )
     size = np.linalg.solve(np.eye(len(gram.pull)) + gram.tip, gram.pull)
-    left = gram.left - 2.0 * size @ gram.pull + size @ gram.tip @ size
+    chi_square = gram.left - 2.0 * size @ gram.pull + size @ gram.tip @ size
     return Floor(
-        max(scale * math.sqrt(max(left, 0.0) / freedom), FINEST_m),
+        max(scale * math.sqrt(max(chi_square, 0.0) / freedom), FINEST_m),
         "what the best explanation leaves: there are too few repeats in one posture and no camera's noise, so that an effect"
         " beyond the list would pass for noise",
         UNMEASURED,
@@ -153,8 +153,8 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
         """The values of a set where they settle, by Gauss and Newton's steps."""
         settling = Settling(FITS_MOST)
         while settling.goes_on:
-            around = Around.of(state, looked, blocks, keys)
-            further = around.next_state(Search(around.evidence, forced).of(keys), state.follows)
+            linearised = Around.of(state, looked, blocks, keys)
+            further = linearised.next_state(Search(linearised.evidence, forced).of(keys), state.follows)
             moved_m = (further.posed().left().tip_m - state.posed().left().tip_m)[looked.parts.known]
             if settling.takes(float(np.linalg.norm(moved_m)), SETTLED_sd * looked.floor.tip_m):
                 state = further
@@ -164,15 +164,15 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
     seen: set[frozenset[Key]] = set()
     while True:
         advance("weighing effects", 0.8 - 0.6 / (1.0 + len(seen)))
-        around = Around.of(state, looked, blocks)
-        blocks = around.blocks
-        search = Search(around.evidence, forced)
-        found = search.run(starts)
-        decision = decide(around.evidence, found)
+        linearised = Around.of(state, looked, blocks)
+        blocks = linearised.blocks
+        search = Search(linearised.evidence, forced)
+        sets = search.run(starts)
+        decision = decide(linearised.evidence, sets)
         keys = search.keys(decision.best.members)
         if keys in seen or not keys:
-            return around, decision
+            return linearised, decision
         seen.add(keys)
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
-        state = settled(around.next_state(decision.best), keys)
+        state = settled(linearised.next_state(decision.best), keys)
         looked = looked.refloored(state.posed().left())

@@ -52,14 +52,14 @@ class Floor:
         return self.tip_m / self.turn_rad if math.isfinite(self.turn_rad) else 0.0
 
 
-def noise_floor(arm: Arm, points: Points, left: Left, out: Mask | None = None) -> Floor:
+def noise_floor(arm: Arm, points: Points, residual: Left, out: Mask | None = None) -> Floor:
     """From repeats: poses of one point with the same payload and approach; else from the camera's data sheet.
 
-    `left` of any fitted model: what it lacks is the same for all repeats of a point, and drops out. `out` (m,): poses that do
+    `residual` of any fitted model: what it lacks is the same for all repeats of a point, and drops out. `out` (m,): poses that do
     not count.
     """
     pairs = _pairs(points, out)
-    tips, turn_rad = _of_tips(arm, points, left.tip_m, pairs), _of_turns(arm, points, left.turn_rad, pairs)
+    tips, turn_rad = _of_tips(arm, points, residual.tip_m, pairs), _of_turns(arm, points, residual.turn_rad, pairs)
     of_counts = _of_counts(arm, points)
     return replace(tips, tip_m=math.hypot(tips.tip_m, of_counts.tip_m), turn_rad=math.hypot(turn_rad, of_counts.turn_rad))
 
@@ -141,12 +141,12 @@ def _is_same_pose(points: Points, a: int, b: int) -> bool:
 
 def _with_sheet(scatter_m: float, pairs_count: int, sheet_m: float) -> Floor:
     """The repeats' scatter; where the data sheet agrees with it, as well as so many pairs know it, both."""
-    said, doubt = (f"{pairs_count} repeats", 1.0 / math.sqrt(6.0 * pairs_count))  # of a root of 3 squares a pair
+    source, doubt = (f"{pairs_count} repeats", 1.0 / math.sqrt(6.0 * pairs_count))  # of a root of 3 squares a pair
     if not abs(scatter_m - sheet_m) <= max(AGREE, CHECKED_sd * doubt) * sheet_m:
-        return Floor(scatter_m, said, doubt)
+        return Floor(scatter_m, source, doubt)
     weight = pairs_count / (pairs_count + SHEET_WORTH)
     both = math.sqrt(weight * scatter_m**2 + (1.0 - weight) * sheet_m**2)
-    return Floor(both, f"{said} and the camera's data sheet, which agree", weight * doubt)
+    return Floor(both, f"{source} and the camera's data sheet, which agree", weight * doubt)
 
 
 def _scatter_m(apart_m: Array) -> float:
@@ -180,9 +180,9 @@ def outlying(linear: Linear, variants: Sequence[Sequence[Term]], noise_m: float)
     if not 0.0 < out.mean() <= OUTLIERS_MOST:
         return np.zeros_like(out)
     for number, same in enumerate(variants):
-        for one in same if len(same) > 1 else ():
-            tried, others = columns.copy(), [*terms[:number], one, *terms[number + 1 :]]
-            tried[:, linear.places[number]] = linear.measured.moved_by(one).reshape(one.count, -1).T
+        for variant in same if len(same) > 1 else ():
+            tried, others = columns.copy(), [*terms[:number], variant, *terms[number + 1 :]]
+            tried[:, linear.places[number]] = linear.measured.moved_by(variant).reshape(variant.count, -1).T
             far = _far(linear, tried, others, noise_m)
             if far.sum() < out.sum():
                 out, columns, terms = far, tried, others
@@ -202,9 +202,9 @@ def _far(linear: Linear, columns: Array, terms: Sequence[Term], noise_m: float) 
     for _ in range(LOOKS):
         keep = np.repeat(~out[pose], 3)
         size = _fitted(whole[keep], y[keep])
-        left = (y - whole @ size).reshape(-1, 3)
+        residual = (y - whole @ size).reshape(-1, 3)
         flanks = _uncertain(linear, terms, size[linear.base.shape[1] :], noise_m)
-        far = np.sqrt(np.einsum("mi,mij,mj->m", left, np.linalg.inv(np.eye(3) + flanks), left))
+        far = np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(np.eye(3) + flanks), residual))
         now = np.zeros_like(out)
         for kind in (kinds, ~kinds) if not kinds.all() else (kinds,):
             scatter = float(np.median(far[kind])) / MEDIAN
@@ -219,17 +219,17 @@ def _uncertain(linear: Linear, terms: Sequence[Term], size: Array, noise_m: floa
     """Covariance (R, 3, 3) of the rows, in variances of the noise, from gears that may lie on the other flank."""
     measured = linear.measured
     total = np.zeros((len(measured.pose), 3, 3))
-    for one, place in zip(terms, linear.places, strict=True):
-        total += flank_covariance(measured, one, float(size[place.start]) / noise_m)
+    for term, place in zip(terms, linear.places, strict=True):
+        total += flank_covariance(measured, term, float(size[place.start]) / noise_m)
     return total
 
 
-def flank_covariance(measured: Measured, one: Term, coefficient: float) -> Array:
+def flank_covariance(measured: Measured, term: Term, coefficient: float) -> Array:
     """Covariance (R, 3, 3) of rows whose joint may lie on the other flank; 0 where nothing is uncertain."""
-    if one.doubt is None or not isinstance(one.key, EffectName) or one.key.joint is None:
+    if term.doubt is None or not isinstance(term.key, EffectName) or term.key.joint is None:
         return np.zeros((1, 3, 3))
-    lever = measured.by_joint[:, :, one.key.joint - 1] * (one.size * coefficient)
-    return np.asarray(one.doubt[measured.pose, None, None] * lever[:, :, None] * lever[:, None, :])
+    lever = measured.by_joint[:, :, term.key.joint - 1] * (term.size * coefficient)
+    return np.asarray(term.doubt[measured.pose, None, None] * lever[:, :, None] * lever[:, None, :])
 
 
 def _fitted(columns: Array, y: Array) -> Array:

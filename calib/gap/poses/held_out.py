@@ -17,68 +17,68 @@ from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 
 
-def holds_on_others(around: Around, best: Weighed, name: EffectName, names: Collection[EffectName]) -> bool:
+def holds_on_others(linearised: Around, best: Weighed, name: EffectName, names: Collection[EffectName]) -> bool:
     """Whether recordings that were left out are predicted better with the name than without it: by the set, and by a file that
     has the laws of all `names` and nothing else. One of an ambiguous set is there, whichever it is.
 
     True where nothing can be left out, and where the tips do not show the effect.
     """
-    labels = parts(around.looked.points, FOLDS)
-    return all(_helps(around, own, name, labels) for own in (best, _laws_alone(around, best, names)))
+    labels = parts(linearised.looked.points, FOLDS)
+    return all(_helps(linearised, weighed, name, labels) for weighed in (best, _laws_alone(linearised, best, names)))
 
 
-def _laws_alone(around: Around, best: Weighed, names: Collection[EffectName]) -> Weighed:
+def _laws_alone(linearised: Around, best: Weighed, names: Collection[EffectName]) -> Weighed:
     """The set without blocks, and without how parts depart from their laws."""
     members = []
     for number, scale in best.members:
-        one, sizes = around.terms[number], around.evidence.scales[number][0]
-        if one.key in names:
+        term, sizes = linearised.terms[number], linearised.evidence.scales[number][0]
+        if term.key in names:
             same = sizes[:, 0] == sizes[scale, 0]
-            exact = ~sizes[:, one.laws : one.laws + one.departures].any(axis=1)
+            exact = ~sizes[:, term.laws : term.laws + term.departures].any(axis=1)
             members.append((number, int(np.flatnonzero(same & exact)[0])))
     return dataclasses.replace(best, members=tuple(members))
 
 
-def shows_in_others(around: Around, best: Weighed, block: Block) -> bool:
+def shows_in_others(linearised: Around, best: Weighed, block: Block) -> bool:
     """Whether the set predicts single poses that were left out better with a block than without it.
 
     What has no name may be of one recording alone; what is there shows in the poses between those that were left out, and
     what a rich fit made of its own noise does not.
     """
-    labels = np.empty(len(around.looked.points), dtype=object)
-    labels[in_turn(around.looked.points)] = [f"{turn % FOLDS}" for turn in range(len(labels))]
-    return _helps(around, best, block, labels.astype(str))
+    labels = np.empty(len(linearised.looked.points), dtype=object)
+    labels[in_turn(linearised.looked.points)] = [f"{turn % FOLDS}" for turn in range(len(labels))]
+    return _helps(linearised, best, block, labels.astype(str))
 
 
-def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
-    own = [one for one in best.members if around.terms[one[0]].key == key]
-    folds = list(_folds(around, labels))
-    if len(folds) < 2 or not around.moves(best, [k for k, _ in own]):
+def _helps(linearised: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
+    members = [member for member in best.members if linearised.terms[member[0]].key == key]
+    folds = list(_folds(linearised, labels))
+    if len(folds) < 2 or not linearised.moves(best, [k for k, _ in members]):
         return True
-    without = dataclasses.replace(best, members=tuple(one for one in best.members if one not in own))
-    return sum(_missed(around, best, *fold) for fold in folds) < sum(_missed(around, without, *fold) for fold in folds)
+    without = dataclasses.replace(best, members=tuple(member for member in best.members if member not in members))
+    return sum(_missed(linearised, best, *fold) for fold in folds) < sum(_missed(linearised, without, *fold) for fold in folds)
 
 
-def _folds(around: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
+def _folds(linearised: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
     """Poses (m,) that are fitted and those that are left out: every label once, several at a time where there are many."""
-    taken = in_turn(around.looked.points)
-    names = list(dict.fromkeys(labels[taken[around.looked.parts.known[taken]]].tolist()))
+    order = in_turn(linearised.looked.points)
+    names = list(dict.fromkeys(labels[order[linearised.looked.parts.known[order]]].tolist()))
     for first in range(min(FOLDS, len(names))):
         out = np.isin(labels, names[first::FOLDS])
-        yield around.looked.parts.known & ~out, around.looked.parts.known & out
+        yield linearised.looked.parts.known & ~out, linearised.looked.parts.known & out
 
 
-def _missed(around: Around, found: Weighed, fitted: Mask, left_out: Mask) -> float:
+def _missed(linearised: Around, weighed: Weighed, fitted: Mask, left_out: Mask) -> float:
     """Sum of squares, in variances of the floor, at poses `left_out` (m,) of a set that was fitted to others."""
-    base, columns = around.linear.base, around.columns([k for k, _ in found.members])
+    base, columns = linearised.linear.base, linearised.columns([k for k, _ in weighed.members])
     whole = np.hstack((base, columns))
-    spread = [around.evidence.scales[k][0][h] for k, h in found.members]
-    precision = np.concatenate([around.linear.precision, *(sd**-2.0 for sd in map(_positive, spread))])
-    values, noise_m = around.linear.y[:, None], around.looked.floor.tip_m
-    white = around.linear.whitened(whole, fitted, noise_m)
-    y = around.linear.whitened(values, fitted, noise_m)
+    spread = [linearised.evidence.scales[k][0][h] for k, h in weighed.members]
+    precision = np.concatenate([linearised.linear.precision, *(sd**-2.0 for sd in map(_positive, spread))])
+    values, noise_m = linearised.linear.y[:, None], linearised.looked.floor.tip_m
+    white = linearised.linear.whitened(whole, fitted, noise_m)
+    y = linearised.linear.whitened(values, fitted, noise_m)
     x = np.linalg.solve(white.T @ white + np.diag(precision), white.T @ y)
-    return float(np.sum(around.linear.whitened(values - whole @ x, left_out, noise_m) ** 2))
+    return float(np.sum(linearised.linear.whitened(values - whole @ x, left_out, noise_m) ** 2))
 
 
 def _positive(sd: Array) -> Array:

@@ -56,10 +56,10 @@ class Fit:
     @classmethod
     def to(cls, problem: ArmProblem, rows: Mask) -> Fit:
         """Fitted to the poses of a mask (m,); the geometry is near and interior, so that one search finds it."""
-        some = problem.of_rows(rows)
-        if not len(some.observed.turned_rows):
-            return cls(problem, minimise(some, LeastSquares(), 1).x, None)
-        posed = PosedProblem(some)
+        subset = problem.of_rows(rows)
+        if not len(subset.observed.turned_rows):
+            return cls(problem, minimise(subset, LeastSquares(), 1).x, None)
+        posed = PosedProblem(subset)
         x = minimise(posed, LeastSquares(), 1).x
         return cls(problem, x[: len(problem.parameters)], posed.target(x))
 
@@ -71,9 +71,9 @@ class Fit:
 
     def shaped(self, arm: Arm) -> Arm:
         """An arm with this geometry and tool, on which the laws of effects act."""
-        found = self.problem.solution(self.x)
-        x, y, z = found.tool_m.tolist()
-        return dataclasses.replace(arm.with_dh(found.dh), tool=dataclasses.replace(arm.tool, position_m=(x, y, z)))
+        solution = self.problem.solution(self.x)
+        x, y, z = solution.tool_m.tolist()
+        return dataclasses.replace(arm.with_dh(solution.dh), tool=dataclasses.replace(arm.tool, position_m=(x, y, z)))
 
     def at(self, x: Array) -> Fit:
         """At unknowns (K,): those of this geometry, then a turn of the target from where it is."""
@@ -137,27 +137,27 @@ class Measured:
         tips, turned = moved[..., :3], self.lever_m * moved[..., self._turned, 3:]
         return np.concatenate((tips, turned), axis=-2)
 
-    def moved_by(self, one: Term) -> Array:
+    def moved_by(self, term: Term) -> Array:
         """What a term's columns do, (c, R, 3)."""
-        moved = np.zeros((one.count, len(self.pose), 3))
-        if one.slope_rad is not None:
-            for j in np.flatnonzero(one.slope_rad.any(axis=(0, 1))):
-                moved += one.slope_rad[:, self.pose, j, None] * self.by_joint[:, :, j]
+        moved = np.zeros((term.count, len(self.pose), 3))
+        if term.slope_rad is not None:
+            for j in np.flatnonzero(term.slope_rad.any(axis=(0, 1))):
+                moved += term.slope_rad[:, self.pose, j, None] * self.by_joint[:, :, j]
         tips = len(self.pose) - len(self._turned)
-        if one.slope_m is not None:
-            moved[:, :tips] += one.slope_m
-        if one.turn_rad is not None:
-            moved[:, tips:] += self.lever_m * one.turn_rad[:, self._turned]
+        if term.slope_m is not None:
+            moved[:, :tips] += term.slope_m
+        if term.turn_rad is not None:
+            moved[:, tips:] += self.lever_m * term.turn_rad[:, self._turned]
         return moved
 
     def left(self, residual: Array) -> Left:
         """Residuals (R, 3) or (3R,) [m] as what they are of."""
-        own = residual.reshape(-1, 3)
-        tips = len(own) - len(self._turned)
+        rows = residual.reshape(-1, 3)
+        tips = len(rows) - len(self._turned)
         turned = np.full((tips, 3), np.nan)
         if self.lever_m > 0.0:
-            turned[self._turned] = own[tips:] / self.lever_m
-        return Left(own[:tips], turned)
+            turned[self._turned] = rows[tips:] / self.lever_m
+        return Left(rows[:tips], turned)
 
     @property
     def _turned(self) -> npt.NDArray[np.intp]:
@@ -167,8 +167,8 @@ class Measured:
 
 def by_joints(fit: Fit) -> tuple[Array, Array]:
     """How tip and last link follow each joint, (m, 3, n) each. A turn's axis is how the tip follows a move along it."""
-    problem, found = fit.problem, fit.problem.solution(fit.x)
-    by_dh = problem.model.slopes(found.dh, problem.observed.q_rad, found.tool_m).by_dh
+    problem, solution = fit.problem, fit.problem.solution(fit.x)
+    by_dh = problem.model.slopes(solution.dh, problem.observed.q_rad, solution.tool_m).by_dh
     theta = np.array(problem.model.theta_places)
     return np.asarray(by_dh[:, :, theta]), np.asarray(by_dh[:, :, theta - 1])
 
@@ -211,11 +211,11 @@ class Linear:
         if follows is not None:
             rows = measured.rows_of(np.moveaxis(follows, 2, 0))
             base[:, : len(fit.x)] += rows.reshape(len(rows), -1).T
-        columns = np.concatenate([measured.moved_by(one) for one in terms])
-        ends = np.cumsum([one.count for one in terms])
-        places = tuple(slice(int(end) - one.count, int(end)) for one, end in zip(terms, ends, strict=True))
+        columns = np.concatenate([measured.moved_by(term) for term in terms])
+        ends = np.cumsum([term.count for term in terms])
+        places = tuple(slice(int(end) - term.count, int(end)) for term, end in zip(terms, ends, strict=True))
         precision = np.full(count, FREE_PRECISION)
-        precision[: len(fit.x)][[one.has_bound for one in fit.problem.parameters]] = 1.0
+        precision[: len(fit.x)][[parameter.has_bound for parameter in fit.problem.parameters]] = 1.0
         known = measured.residual if moved is None else measured.residual + measured.rows_of(moved)
         y = known.ravel() + base[:, : len(fit.x)] @ fit.x
         root = np.tile(np.eye(3), (len(measured.pose), 1, 1)) if weight is None else weight
@@ -251,15 +251,15 @@ class Linear:
     def geometry(self, poses: Mask, noise_m: float, total: Array) -> Array:
         """Unknowns (K,) of the geometry beside the terms' move `total` (3R,)."""
         base = self.whitened(self.base, poses, noise_m)
-        left = self.whitened((self.y - total)[:, None], poses, noise_m)[:, 0]
+        residual = self.whitened((self.y - total)[:, None], poses, noise_m)[:, 0]
         rows = np.vstack((base, np.diag(np.sqrt(self.precision))))
-        return np.asarray(np.linalg.lstsq(rows, np.concatenate((left, np.zeros(len(self.precision)))))[0])
+        return np.asarray(np.linalg.lstsq(rows, np.concatenate((residual, np.zeros(len(self.precision)))))[0])
 
     def whitened(self, values: Array, poses: Mask, noise_m: float) -> Array:
         """Values (3R, c) at some poses (m,), in standard deviations of the noise."""
         rows = self.measured.of(poses)
-        own = values.reshape(len(rows), 3, -1)[rows]
-        return np.asarray((self.weight[rows] / noise_m @ own).reshape(3 * int(rows.sum()), -1))
+        selected = values.reshape(len(rows), 3, -1)[rows]
+        return np.asarray((self.weight[rows] / noise_m @ selected).reshape(3 * int(rows.sum()), -1))
 
 
 def _beside(known: Array, fit: Array, held: Array) -> Array:
@@ -269,9 +269,9 @@ def _beside(known: Array, fit: Array, held: Array) -> Array:
     E' (I + B known^-1 B')^-1 E with E = values - B fit, by Woodbury's identity.
     """
     base = held[:, : len(known)]
-    left = held[:, len(known) :] - base @ fit
-    taken = np.linalg.solve(np.linalg.cholesky(known + base.T @ base), base.T @ left)
-    return np.asarray(left.T @ left - taken.T @ taken)
+    residual = held[:, len(known) :] - base @ fit
+    explained = np.linalg.solve(np.linalg.cholesky(known + base.T @ base), base.T @ residual)
+    return np.asarray(residual.T @ residual - explained.T @ explained)
 
 
 def along_joint(lever_m: Array, residual_m: Array) -> Array:

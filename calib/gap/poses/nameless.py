@@ -29,26 +29,26 @@ SHARE = 0.1  # of a joint's torque: the size of a block in holding currents
 def blocks_of(scene: PoseScene, names: Sequence[Term]) -> tuple[Term, ...]:
     """All of them for these poses, but those that are the law of one of the `names`: what follows a law is that effect."""
     single = [one for one in (*of_the_tip(scene), *of_joints(scene)) if not is_still(one)]
-    found = [*_without_laws(single, names), *_smooth(scene)]
+    blocks = [*_without_laws(single, names), *_smooth(scene)]
     if np.isfinite(scene.points.tip_m).all():
         columns = field_of_the_tip(link_frames(ArmModel(scene.arm), scene.arm.dh, scene.points.q_rad).tip_m)
         words = "everywhere: the measured places are off by a smooth field"
-        found.append(Term(Block(0, "place"), words, len(columns), slope_m=columns))
+        blocks.append(Term(Block(0, "place"), words, len(columns), slope_m=columns))
     if np.isfinite(scene.points.current_A).any():
-        found += _currents(scene)
-    return tuple(found)
+        blocks += _currents(scene)
+    return tuple(blocks)
 
 
 def _without_laws(shapes_: list[Term], names: Sequence[Term]) -> list[Term]:
     """Without shapes of one column that are the law of a name of one, as the last direction is play where nothing hangs."""
-    laws = [one.slope_rad[0] for one in names if one.laws == 1 and one.slope_rad is not None]
-    tried = [k for k, one in enumerate(shapes_) if one.count == 1 and one.slope_rad is not None]
-    own = [slope[0] for k in tried if (slope := shapes_[k].slope_rad) is not None]
-    if not laws or not own:
+    laws = [term.slope_rad[0] for term in names if term.laws == 1 and term.slope_rad is not None]
+    tried = [k for k, term in enumerate(shapes_) if term.count == 1 and term.slope_rad is not None]
+    courses = [slope[0] for k in tried if (slope := shapes_[k].slope_rad) is not None]
+    if not laws or not courses:
         return shapes_
-    alike = np.abs(_unit(own) @ _unit(laws).T) > SAME
+    alike = np.abs(_unit(courses) @ _unit(laws).T) > SAME
     out = {tried[k] for k in np.flatnonzero(alike.any(axis=1)).tolist()}
-    return [one for k, one in enumerate(shapes_) if k not in out]
+    return [term for k, term in enumerate(shapes_) if k not in out]
 
 
 def _unit(slopes: Sequence[Array]) -> Array:
@@ -74,9 +74,9 @@ def _smooth(scene: PoseScene) -> Iterator[Term]:
                 yield smooth_of_joint(n, j, variable, f"follows {what} smoothly", smooth(values))
         if has_time:
             yield smooth_of_joint(n, j, "time", "wanders with time", smooth(time))
-        last, own = points.direction[:, j], [("angle", points.q_rad[:, j])]
-        own += [] if load is None else [("load", load[:, j])]
-        for what, values in own if np.ptp(last) > 0.0 else ():
+        last, variables = points.direction[:, j], [("angle", points.q_rad[:, j])]
+        variables += [] if load is None else [("load", load[:, j])]
+        for what, values in variables if np.ptp(last) > 0.0 else ():
             if np.ptp(values) > 1e-9:
                 both = np.concatenate((last[None], last * smooth(values)))
                 yield smooth_of_joint(n, j, "direction", f"follows its last direction and its {what}", both)
@@ -157,11 +157,11 @@ def _of_direction(points: Points, gravity: Array | None, held: Array | None, j: 
     for i in range(n):
         words = f"follows the last direction of joint {i + 1}"
         yield of_joint(n, j, "direction", words, points.direction[:, i])
-    own, variable = points.direction[:, j], "direction"
-    yield of_joint(n, j, variable, "follows its last direction times its angle", own * points.q_rad[:, j], own)
+    last, variable = points.direction[:, j], "direction"
+    yield of_joint(n, j, variable, "follows its last direction times its angle", last * points.q_rad[:, j], last)
     if gravity is not None:
         load = np.abs(gravity[:, j])
-        yield of_joint(n, j, variable, "follows its last direction, more so under load", own * load, own)
+        yield of_joint(n, j, variable, "follows its last direction, more so under load", last * load, last)
     if held is not None:  # a soft gear that friction winds up: without gravity nobody can tell its stiffness
         yield of_joint(n, j, variable, "follows the friction that its motor holds", held[:, j])
 
@@ -196,13 +196,13 @@ def _of_load(points: Points, gravity: Array | None, j: int) -> Iterator[Term]:
             yield of_joint(n, j, "currents", words, current**2)
     if gravity is None:
         return
-    own = gravity[:, j]
-    yield of_joint(n, j, "load", "follows its load's size, whatever its sign", np.abs(own))
-    yield of_joint(n, j, "load", "follows its load, more than in proportion", own, own * np.abs(own))
-    yield of_joint(n, j, "load", "follows its load and that cubed", own, own**3)
-    root = np.sign(own) * np.sqrt(np.abs(own))
+    load_Nm = gravity[:, j]
+    yield of_joint(n, j, "load", "follows its load's size, whatever its sign", np.abs(load_Nm))
+    yield of_joint(n, j, "load", "follows its load, more than in proportion", load_Nm, load_Nm * np.abs(load_Nm))
+    yield of_joint(n, j, "load", "follows its load and that cubed", load_Nm, load_Nm**3)
+    root = np.sign(load_Nm) * np.sqrt(np.abs(load_Nm))
     yield of_joint(n, j, "load", "follows its load, less than in proportion", root)
-    yield of_joint(n, j, "load", "follows its load, softer one way", np.maximum(own, 0), np.minimum(own, 0))
+    yield of_joint(n, j, "load", "follows its load, softer one way", np.maximum(load_Nm, 0), np.minimum(load_Nm, 0))
     for i in range(n):
         if i != j:
             yield of_joint(n, j, "other loads", f"follows the load of joint {i + 1}", gravity[:, i])
@@ -399,9 +399,9 @@ def of_turns(variable: str, words: str, turns: Array) -> Term:
     return Term(Block(0, variable), words, len(turns), turn_rad=SIZE_rad * turns)
 
 
-def is_still(one: Term) -> bool:
+def is_still(term: Term) -> bool:
     """Whether a shape is constant at these poses."""
-    moved = [float(np.ptp(slope, axis=1).max()) for slope in (one.slope_rad, one.slope_m, one.turn_rad) if slope is not None]
+    moved = [float(np.ptp(slope, axis=1).max()) for slope in (term.slope_rad, term.slope_m, term.turn_rad) if slope is not None]
     return not any(moved)
 
 

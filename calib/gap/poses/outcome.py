@@ -62,41 +62,41 @@ class StaticGap:
         return by_joints(Fit(self.problem, self.x, None))[0]
 
 
-def drawn_laws(around: Around, best: Weighed, names: Sequence[EffectName], residual_m: Array) -> tuple[DrawnLaw, ...]:
+def drawn_laws(linearised: Around, best: Weighed, names: Sequence[EffectName], residual_m: Array) -> tuple[DrawnLaw, ...]:
     """Each of the names over its own variable, of those that move joints, or the tip along one line; residual_m (m, 3): what the
     whole set leaves.
     """
-    found, (by_joint, _) = {}, by_joints(around.state.posed())
-    for number, size in around.evidence.sizes(best).items():
-        one, laws = around.terms[number], size * (np.arange(len(size)) < around.terms[number].laws)
-        if one.key not in names or not isinstance(one.key, EffectName) or not one.variable:
+    drawn, (by_joint, _) = {}, by_joints(linearised.state.posed())
+    for number, size in linearised.evidence.sizes(best).items():
+        term, laws = linearised.terms[number], size * (np.arange(len(size)) < linearised.terms[number].laws)
+        if term.key not in names or not isinstance(term.key, EffectName) or not term.variable:
             continue
-        if one.slope_rad is not None:
-            joint = int(np.argmax(np.abs(one.slope_rad).sum(axis=(0, 1))))
-            law, whole = (one.slope_rad[:, :, joint].T @ own for own in (laws, size))
+        if term.slope_rad is not None:
+            joint = int(np.argmax(np.abs(term.slope_rad).sum(axis=(0, 1))))
+            law, whole = (term.slope_rad[:, :, joint].T @ coefficients for coefficients in (laws, size))
             lever, unit = by_joint[:, :, joint], "mrad"
-        elif one.slope_m is not None:
-            law_m, whole_m = (np.einsum("c,cmi->mi", own, one.slope_m) for own in (laws, size))
+        elif term.slope_m is not None:
+            law_m, whole_m = (np.einsum("c,cmi->mi", coefficients, term.slope_m) for coefficients in (laws, size))
             lever = law_m / np.maximum(np.linalg.norm(law_m, axis=1, keepdims=True), 1e-12)
             law, whole, unit = np.linalg.norm(law_m, axis=1), np.einsum("mi,mi->m", whole_m, lever), "mm"
         else:
             continue
-        at, label = _variable(around, one)
+        at, label = _variable(linearised, term)
         data = whole + along_joint(lever, residual_m)
-        found[one.key] = DrawnLaw(one.key, label, unit, at, 1e3 * data, 1e3 * law, 1e3 * whole)
-    return tuple(found[name] for name in names if name in found)
+        drawn[term.key] = DrawnLaw(term.key, label, unit, at, 1e3 * data, 1e3 * law, 1e3 * whole)
+    return tuple(drawn[name] for name in names if name in drawn)
 
 
-def _variable(around: Around, one: Term) -> tuple[Array, str]:
+def _variable(linearised: Around, term: Term) -> tuple[Array, str]:
     """The law's own variable at all poses (m,), and its label."""
-    points, joint = around.looked.points, getattr(one.key, "joint", None)
-    if one.variable.startswith("q") and one.variable[1:].isdigit():
-        return np.degrees(points.q_rad[:, int(one.variable[1:]) - 1]), f"{one.variable} [deg]"
-    if one.variable == "time":
+    points, joint = linearised.looked.points, getattr(term.key, "joint", None)
+    if term.variable.startswith("q") and term.variable[1:].isdigit():
+        return np.degrees(points.q_rad[:, int(term.variable[1:]) - 1]), f"{term.variable} [deg]"
+    if term.variable == "time":
         return points.elapsed_s, "time [s]"
     if joint is None or joint > points.joint_count:
         return np.arange(len(points), dtype=float), "pose"
-    load = around.gravity_Nm()
+    load = linearised.gravity_Nm()
     if load is not None and float(np.abs(load[:, joint - 1]).max()) > NO_TORQUE_Nm:
         return load[:, joint - 1], f"gravity torque of joint {joint} [N m]"
     return np.degrees(points.q_rad[:, joint - 1]), f"q{joint} [deg]"

@@ -44,15 +44,15 @@ def split(points: Points) -> Split:
 
     A setup never reports as a whole where its board's place is unknown: a board that was not fitted has no place.
     """
-    labels, taken = recordings(points), in_turn(points)
-    names = list(dict.fromkeys(labels[taken].tolist()))
+    labels, order = recordings(points), in_turn(points)
+    names = list(dict.fromkeys(labels[order].tolist()))
     if len(names) < RECORDINGS_LEAST or len(points) < POSES_LEAST * len(names):
         return _alternating(points)
     setups = np.array(points.setup)
     report = np.zeros(len(points), dtype=bool)
     for setup in dict.fromkeys(points.setup):
-        own = list(dict.fromkeys(labels[taken[setups[taken] == setup]].tolist()))
-        report |= (labels == own[-1]) & (len(own) > 1)
+        of_setup = list(dict.fromkeys(labels[order[setups[order] == setup]].tolist()))
+        report |= (labels == of_setup[-1]) & (len(of_setup) > 1)
     if not report.any():  # every setup is one recording
         report = labels == names[-1]
     for setup in unplaced_setups(points):
@@ -70,18 +70,18 @@ def unplaced_setups(points: Points) -> tuple[str, ...]:
 def parts(points: Points, count: int) -> npt.NDArray[np.str_]:
     """What can be left out in turn, (m,) labels: recordings; of a setup on a board, one pose in `count`, as none places it."""
     labels = recordings(points).astype(object)
-    setups, taken = np.array(points.setup), in_turn(points)
+    setups, order = np.array(points.setup), in_turn(points)
     for setup in unplaced_setups(points):
-        rows = taken[setups[taken] == setup]
+        rows = order[setups[order] == setup]
         labels[rows] = [f"part {place % count + 1}" for place in range(len(rows))]
     return labels.astype(str)
 
 
 def _alternating(points: Points) -> Split:
-    setups, taken = np.array(points.setup), in_turn(points)
+    setups, order = np.array(points.setup), in_turn(points)
     report = np.zeros(len(points), dtype=bool)
     for name in dict.fromkeys(points.setup):
-        report[taken[setups[taken] == name][EVERY - 1 :: EVERY]] = True
+        report[order[setups[order] == name][EVERY - 1 :: EVERY]] = True
     if not report.any():
         return Split(~report, ~report, False, len(set(points.setup)))
     return Split(~report, report, True, len(set(points.setup)), is_by_pose=True)

@@ -14,55 +14,55 @@ from calib.gap.posterior.term import Block
 from calib.gap.words import listed
 
 
-def remainders(around: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> tuple[Remainder, ...]:
+def remainders(linearised: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first: blocks, sets that are ambiguous, laws that do not hold."""
     best = decision.best
-    numbers = {around.terms[k].key: k for k, _ in best.members}
-    found = []
+    numbers = {linearised.terms[k].key: k for k, _ in best.members}
+    ranked = []
     for group in (*decision.ambiguous, *decision.remainders):
-        own = [numbers[key] for key in group if key in numbers]
-        if not own:
+        members = [numbers[key] for key in group if key in numbers]
+        if not members:
             continue
-        move = around.moved_m(best, own)
-        size = {"tip_m": rms(move[around.looked.parts.known])} if move.any() else {}
-        blocks = [around.terms[k].words for k in own if not around.terms[k].is_name]
+        move = linearised.moved_m(best, members)
+        size = {"tip_m": rms(move[linearised.looked.parts.known])} if move.any() else {}
+        blocks = [linearised.terms[k].words for k in members if not linearised.terms[k].is_name]
         names = " or ".join(str(key) for key in group if isinstance(key, EffectName))
         unnamed = blocks[0] if blocks else "; ".join(why for key, why in reasons.items() if key in group)
         where = names if group in decision.ambiguous else unnamed
-        found.append(Remainder(where, share_of(around.evidence, best, own), size))
-    return tuple(sorted(found, key=lambda one: -one.share))
+        ranked.append(Remainder(where, share_of(linearised.evidence, best, members), size))
+    return tuple(sorted(ranked, key=lambda remainder: -remainder.share))
 
 
-def unknown_part(around: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
+def unknown_part(linearised: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
     """The remainder without a name that explains most, if there is one."""
     if not decision.remainders:
         return None
-    best, terms = decision.best, around.terms
+    best, terms = decision.best, linearised.terms
     numbers = {terms[k].key: k for k, _ in best.members}
     blocks = [key for group in decision.remainders for key in group if isinstance(key, Block)]
     ranked = sorted(
-        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words) for key in blocks if key in numbers
+        (share_of(linearised.evidence, best, [numbers[key]]), terms[numbers[key]].words) for key in blocks if key in numbers
     )
     names = [key for group in decision.remainders for key in group if isinstance(key, EffectName)]
     if ranked:
         where = ranked[-1][1]
     elif blocks:
-        where = terms[around.evidence.of_key[blocks[0]][0]].words
+        where = terms[linearised.evidence.of_key[blocks[0]][0]].words
     else:
         where = reasons[names[0]]
-    return Unknown(where, *_nearest(around, decision))
+    return Unknown(where, *_nearest(linearised, decision))
 
 
-def _nearest(around: Around, decision: Decision) -> tuple[EffectName | None, float]:
+def _nearest(linearised: Around, decision: Decision) -> tuple[EffectName | None, float]:
     """The effect that is not named and explains most beside the names, and its share of what these leave."""
-    evidence, best = around.evidence, decision.best
-    named = tuple(one for one in best.members if around.terms[one[0]].key in decision.names)
+    evidence, best = linearised.evidence, decision.best
+    named = tuple(member for member in best.members if linearised.terms[member[0]].key in decision.names)
     added = evidence.added(named, best.kappa)
-    others = [k for k, one in enumerate(around.terms) if one.is_name and one.key not in decision.names]
+    others = [k for k, term in enumerate(linearised.terms) if term.is_name and term.key not in decision.names]
     if not others:
         return None, 0.0
     top = max(others, key=lambda k: float(added.log[k]))
-    key = around.terms[top].key
+    key = linearised.terms[top].key
     alone, with_it = (
         left_with(evidence, dataclasses.replace(best, members=some)) for some in (named, (*named, (top, int(added.best[top]))))
     )
@@ -82,12 +82,12 @@ def next_experiment(
         return _apart(ambiguous[0])
     if unknown is not None:
         return f"The residual ({unknown.where}) is not in the list of effects. {AGAIN}"
-    hidden = [one for one in could if not one.is_nameable]
+    hidden = [effect for effect in could if not effect.is_nameable]
     if not hidden:
         return None
-    names = listed([one.name for one in hidden[:4]]) + (" and others" if len(hidden) > 4 else "")
+    names = listed([effect.name for effect in hidden[:4]]) + (" and others" if len(hidden) > 4 else "")
     free = "" if has_free else "a dozen or more free poses away from the table, seen by the camera; "
-    wanted = told_apart_by([one.name.effect for one in hidden])
+    wanted = told_apart_by([effect.name.effect for effect in hidden])
     return f"To name {names}, record {free}{'; '.join(wanted[:3])}."
 
 

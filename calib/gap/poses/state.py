@@ -97,10 +97,10 @@ class Looked:
     warnings: tuple[str, ...]
     told: Told | None = None
 
-    def refloored(self, left: Left) -> Looked:
+    def refloored(self, residual: Left) -> Looked:
         """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
-        found = noise_floor(self.arm, self.points, left, self.out)
-        return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
+        floor = noise_floor(self.arm, self.points, residual, self.out)
+        return dataclasses.replace(self, floor=floor) if math.isfinite(floor.tip_m) else self
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +125,8 @@ class Around:
         effects: Collection[str] = EFFECTS.keys()
         if keys is not None:  # of those left out of the list the keys are blocks
             effects = {key.effect if isinstance(key, EffectName) else key.variable for key in keys}
-        names = [_unlisted(one, looked.without) for one in pose_terms(scene, effects)]
-        terms = [one for one in (*names, *(blocks or blocks_of(scene, names))) if keys is None or one.key in keys]
+        names = [_unlisted(term, looked.without) for term in pose_terms(scene, effects)]
+        terms = [term for term in (*names, *(blocks or blocks_of(scene, names))) if keys is None or term.key in keys]
         linear = Linear.around(state.posed(), floor.lever_m, terms, state.linear, state.weight, state.follows)
         held = holding_currents(state.fit, arm, points, state.turn_rad, terms)
         rows = looked.parts.known
@@ -147,64 +147,64 @@ class Around:
             return np.zeros((len(self.linear.y), 0))
         return np.concatenate([self.linear.columns[:, self.linear.places[k]] for k in numbers], axis=1)
 
-    def fitted(self, found: Weighed) -> tuple[Array, Left]:
+    def fitted(self, weighed: Weighed) -> tuple[Array, Left]:
         """Geometry x (k,) beside a set, and what they leave of all poses."""
-        fit, left = self._solved(found)
-        return fit.x, left
+        fit, residual = self._solved(weighed)
+        return fit.x, residual
 
-    def _solved(self, found: Weighed) -> tuple[Fit, Left]:
-        size, _ = self.evidence.estimate(found.members, found.kappa)
-        move, linear = self.columns([k for k, _ in found.members]) @ size, self.linear
-        x = linear.geometry(self.looked.parts.known, self.looked.floor.tip_m * found.kappa, move)
+    def _solved(self, weighed: Weighed) -> tuple[Fit, Left]:
+        size, _ = self.evidence.estimate(weighed.members, weighed.kappa)
+        move, linear = self.columns([k for k, _ in weighed.members]) @ size, self.linear
+        x = linear.geometry(self.looked.parts.known, self.looked.floor.tip_m * weighed.kappa, move)
         return self.state.fit.at(x), linear.measured.left(linear.y - linear.base @ x - move)
 
-    def moved_m(self, found: Weighed, numbers: Sequence[int]) -> Array:
+    def moved_m(self, weighed: Weighed, numbers: Sequence[int]) -> Array:
         """What the terms `numbers` of a set do to the tips, (m, 3)."""
-        return self._moved(found, numbers).tip_m
+        return self._moved(weighed, numbers).tip_m
 
-    def moves(self, found: Weighed, numbers: Sequence[int]) -> bool:
+    def moves(self, weighed: Weighed, numbers: Sequence[int]) -> bool:
         """Whether they move a tip or an orientation at all."""
-        moved = self._moved(found, numbers)
+        moved = self._moved(weighed, numbers)
         return bool(moved.tip_m.any() or np.nan_to_num(moved.turn_rad).any())
 
-    def _moved(self, found: Weighed, numbers: Sequence[int]) -> Left:
+    def _moved(self, weighed: Weighed, numbers: Sequence[int]) -> Left:
         moved = np.zeros(len(self.linear.y))
-        for number, own in self.evidence.sizes(found).items():
+        for number, size in self.evidence.sizes(weighed).items():
             if number in numbers:
-                moved += self.columns([number]) @ own
+                moved += self.columns([number]) @ size
         return self.linear.measured.left(moved)
 
     def gravity_Nm(self) -> Array | None:
         """Gravity's torques under the loads found, (m, n); None for an arm without masses."""
         return load_of(self.state.loaded, self.looked.points, self.state.joint_rad)
 
-    def next_state(self, found: Weighed, follows: Array | None = None) -> State:
+    def next_state(self, weighed: Weighed, follows: Array | None = None) -> State:
         """Linearised anew around a set, its laws evaluated at the geometry and loads found with it.
 
         `follows`: as of a state of the same set before, near enough; else it is found anew, where laws follow the geometry.
         """
         linear, looked, noise_m = self.linear, self.looked, self.looked.floor.tip_m
-        fit, _ = self._solved(found)
+        fit, _ = self._solved(weighed)
         beyond, extra = np.zeros_like(self.state.moved), np.zeros_like(linear.weight)
         acting, loads = [], []
-        for number, own in self.evidence.sizes(found).items():
-            one = self.terms[number]
-            acting.append((one, own))
-            extra += flank_covariance(linear.measured, one, float(own[0]) / noise_m)
-            if one.key == EffectName(FRAME):
-                beyond[:, :3] += beyond_linear_m(one, own, fit.problem.references_m)
-            if isinstance(one.key, EffectName) and is_load(one.key.effect) and one.parameters is not None:
-                loads.append(effect_of(one.key, one.parameters(own[:1] * one.size, np.zeros((1, 1)))))
+        for number, size in self.evidence.sizes(weighed).items():
+            term = self.terms[number]
+            acting.append((term, size))
+            extra += flank_covariance(linear.measured, term, float(size[0]) / noise_m)
+            if term.key == EffectName(FRAME):
+                beyond[:, :3] += beyond_linear_m(term, size, fit.problem.references_m)
+            if isinstance(term.key, EffectName) and is_load(term.key.effect) and term.parameters is not None:
+                loads.append(effect_of(term.key, term.parameters(size[:1] * term.size, np.zeros((1, 1)))))
         weight = np.linalg.inv(np.linalg.cholesky(np.eye(3) + extra))
         loaded = with_totals(fit.shaped(self.state.loaded), loads)
-        effects = {one.key.effect for one, _ in acting if isinstance(one.key, EffectName)}
+        effects = {term.key.effect for term, _ in acting if isinstance(term.key, EffectName)}
         encoder_rad = fit.problem.observed.q_rad
 
         def moves(there: Fit, turn_rad: Array) -> tuple[Array, Array]:
             scene = PoseScene.of(there.shaped(looked.bare_arm), there.shaped(loaded), looked.points, encoder_rad + turn_rad)
             # each as it is there, or itself if it is not there
-            same = {(one.key, one.variant, one.count): one for one in reversed(pose_terms(scene, effects))}
-            moving = [(same.get((one.key, one.variant, one.count), one), own) for one, own in acting]
+            same = {(term.key, term.variant, term.count): term for term in reversed(pose_terms(scene, effects))}
+            moving = [(same.get((term.key, term.variant, term.count), term), size) for term, size in acting]
             return _moves(moving, turn_rad.shape)
 
         before = _moves(acting, encoder_rad.shape)
@@ -231,10 +231,10 @@ class Around:
 def _moves(acting: Sequence[tuple[Term, Array]], shape: tuple[int, int]) -> tuple[Array, Array]:
     """What terms of coefficients (c,) do to joints, (m, n), and to tip and last link, (m, 6)."""
     turn, moved = np.zeros(shape), np.zeros((shape[0], 6))
-    for one, own in acting:
-        turn += 0.0 if one.slope_rad is None else np.einsum("c,cmn->mn", own, one.slope_rad)
-        moved[:, :3] += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
-        moved[:, 3:] += 0.0 if one.turn_rad is None else np.einsum("c,cmi->mi", own, one.turn_rad)
+    for term, size in acting:
+        turn += 0.0 if term.slope_rad is None else np.einsum("c,cmn->mn", size, term.slope_rad)
+        moved[:, :3] += 0.0 if term.slope_m is None else np.einsum("c,cmi->mi", size, term.slope_m)
+        moved[:, 3:] += 0.0 if term.turn_rad is None else np.einsum("c,cmi->mi", size, term.turn_rad)
     return turn, moved
 
 
@@ -248,8 +248,8 @@ def _stopped(arm: Arm, points: Points) -> Term:
     return Term(Block(0, "counts"), laws=len(slope), slope_rad=slope)
 
 
-def _unlisted(one: Term, without: Collection[str]) -> Term:
+def _unlisted(term: Term, without: Collection[str]) -> Term:
     """A term whose effect was left out of the list, as a block."""
-    if not isinstance(one.key, EffectName) or one.key.effect not in without:
-        return one
-    return dataclasses.replace(one, key=Block(one.key.joint or 0, one.key.effect), words=f"{one.key} (left out of the list)")
+    if not isinstance(term.key, EffectName) or term.key.effect not in without:
+        return term
+    return dataclasses.replace(term, key=Block(term.key.joint or 0, term.key.effect), words=f"{term.key} (left out of the list)")
