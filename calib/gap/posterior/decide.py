@@ -58,33 +58,33 @@ class Decision:
         return replace(self, names=names, ambiguous=(*self.ambiguous, *groups.values()))
 
 
-def decide(evidence: Evidence, found: Sequence[Weighed], lead: float = MARGIN) -> Decision:
+def decide(evidence: Evidence, sets: Sequence[Weighed], lead: float = MARGIN) -> Decision:
     """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is.
 
     `lead`: log evidence by which it must lead sets that have another name in its place; 0 where those are compared elsewhere.
     """
-    logs = np.array([one.log for one in found])
+    logs = np.array([weighed.log for weighed in sets])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    keys = [[evidence.terms[k].key for k, _ in one.members] for one in found]
-    has = {key: np.zeros(len(found), dtype=bool) for key in dict.fromkeys(itertools.chain(*keys))}
-    for k, (one, own) in enumerate(zip(found, keys, strict=True)):
-        for key in (*own, *_as_laws(evidence, one, set(keys[0]) - set(own))):
+    keys = [[evidence.terms[k].key for k, _ in weighed.members] for weighed in sets]
+    has = {key: np.zeros(len(sets), dtype=bool) for key in dict.fromkeys(itertools.chain(*keys))}
+    for k, (weighed, present) in enumerate(zip(sets, keys, strict=True)):
+        for key in (*present, *_as_laws(evidence, weighed, set(keys[0]) - set(present))):
             has[key][k] = True
-    chance = {key: sum(weights[own].tolist()) for key, own in has.items()}
+    chance = {key: sum(weights[mask].tolist()) for key, mask in has.items()}
     groups = []
     for group in _credible(has, weights, chance):
         if len(group) == 1 and isinstance(name := group[0], EffectName):
             # names that a set without this one, nearly as likely as the best, has in its place: none that the best has beside it
             likely = ~has[name] & (logs > logs[0] - lead)
             beside = keys[0] if name in keys[0] else ()
-            some = (one for one in has if isinstance(one, EffectName) and one not in beside)
-            group = (*group, *(one for one in some if (has[one] & likely).any()))
-        groups.append((*group, *crooked(evidence, found[0], group[0])) if len(group) == 1 else group)
-    left = tuple(group for group in groups if any(isinstance(key, Block) for key in group))
-    sets = [tuple(key for key in g if isinstance(key, EffectName)) for g in groups if g not in left]
-    names, ambiguous = (tuple(own[0] for own in sets if len(own) == 1), tuple(own for own in sets if len(own) > 1))
-    return Decision(names, ambiguous, left, chance, found[0])
+            rivals = (rival for rival in has if isinstance(rival, EffectName) and rival not in beside)
+            group = (*group, *(rival for rival in rivals if (has[rival] & likely).any()))
+        groups.append((*group, *crooked(evidence, sets[0], group[0])) if len(group) == 1 else group)
+    remainders = tuple(group for group in groups if any(isinstance(key, Block) for key in group))
+    named = [tuple(key for key in g if isinstance(key, EffectName)) for g in groups if g not in remainders]
+    names, ambiguous = (tuple(group[0] for group in named if len(group) == 1), tuple(group for group in named if len(group) > 1))
+    return Decision(names, ambiguous, remainders, chance, sets[0])
 
 
 def _credible(has: Mapping[Key, Mask], weights: Array, chance: Mapping[Key, float]) -> list[tuple[Key, ...]]:
@@ -101,11 +101,11 @@ def _credible(has: Mapping[Key, Mask], weights: Array, chance: Mapping[Key, floa
         group, one_in = [key], has[key].copy()
         while weights[one_in].sum() < CERTAIN:
             gains = {
-                other: float(weights[own & ~one_in].sum() - weights[own & one_in].sum())
-                for other, own in has.items()
-                if other not in done
+                rival: float(weights[mask & ~one_in].sum() - weights[mask & one_in].sum())
+                for rival, mask in has.items()
+                if rival not in done
             }
-            best = max(gains, key=lambda other: gains[other], default=None)
+            best = max(gains, key=lambda rival: gains[rival], default=None)
             if best is None or gains[best] < CREDIBLE_LEAST:
                 break
             group.append(best)
@@ -121,10 +121,10 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
 
     They are of its joint and functions of its law's variable. Twice the largest departure is two standard deviations of it.
     """
-    own = evidence.terms[evidence.of_key[key][0]].traits.blocks
-    if not isinstance(key, EffectName) or not own:
+    variable = evidence.terms[evidence.of_key[key][0]].traits.blocks
+    if not isinstance(key, EffectName) or not variable:
         return ()
-    moves, begin = _moves(evidence, best), own.format(j=key.joint)
+    moves, begin = _moves(evidence, best), variable.format(j=key.joint)
     least = LAW_MOST * moves.get(key, 0.0)
     return tuple(
         block
@@ -133,12 +133,12 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
     )
 
 
-def _as_laws(evidence: Evidence, one: Weighed, names: Collection[Key]) -> Iterator[EffectName]:
+def _as_laws(evidence: Evidence, weighed: Weighed, names: Collection[Key]) -> Iterator[EffectName]:
     """Names for which a block of a set stands: a function of the law's own variable that bends it no more than real parts do.
 
     Such a block is that law, as it departs: without this the two divide the probability of one thing.
     """
-    for number, size in evidence.sizes(one).items() if names else ():
+    for number, size in evidence.sizes(weighed).items() if names else ():
         block = evidence.terms[number]
         if not isinstance(block.key, Block) or block.slope_rad is None:
             continue
@@ -160,28 +160,28 @@ def _as_laws(evidence: Evidence, one: Weighed, names: Collection[Key]) -> Iterat
 
 def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:
     """How far each member of a set moves its joints, root mean square."""
-    found: dict[Key, float] = {}
-    for number, own in evidence.sizes(best).items():
-        one = evidence.terms[number]
-        if one.slope_rad is not None:
-            found[one.key] = float(np.sqrt(np.mean(np.einsum("c,cmn->mn", own, one.slope_rad) ** 2)))
-    return found
+    moves: dict[Key, float] = {}
+    for number, size in evidence.sizes(best).items():
+        term = evidence.terms[number]
+        if term.slope_rad is not None:
+            moves[term.key] = float(np.sqrt(np.mean(np.einsum("c,cmn->mn", size, term.slope_rad) ** 2)))
+    return moves
 
 
-def share_of(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:
+def share_of(evidence: Evidence, weighed: Weighed, drop: Sequence[int]) -> float:
     """Share of the excess of the tips over what the set leaves, in sums of squares, that the terms `drop` explain."""
-    whole = left_with(evidence, found)
-    rest = Weighed(tuple(one for one in found.members if one[0] not in drop), found.kappa, 0.0)
+    whole = left_with(evidence, weighed)
+    rest = Weighed(tuple(one for one in weighed.members if one[0] not in drop), weighed.kappa, 0.0)
     excess = evidence.gram.left - whole
     return (left_with(evidence, rest) - whole) / excess if excess > 0.0 else math.nan
 
 
-def left_with(evidence: Evidence, found: Weighed) -> float:
+def left_with(evidence: Evidence, weighed: Weighed) -> float:
     """The tips' sum of squares that a set leaves, in variances of the floor."""
-    if not found.members:
+    if not weighed.members:
         return evidence.gram.left
-    at = np.concatenate([evidence.places[k] for k, _ in found.members])
-    size, _ = evidence.estimate(found.members, found.kappa)
+    at = np.concatenate([evidence.places[k] for k, _ in weighed.members])
+    size, _ = evidence.estimate(weighed.members, weighed.kappa)
     gram = evidence.gram
     return float(gram.left - 2.0 * size @ gram.pull[at] + size @ gram.tip[np.ix_(at, at)] @ size)
 
@@ -205,23 +205,23 @@ class Estimated:
         """Standard deviations of `value`, (c,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def differs_from(self, other: Array) -> bool:
+    def differs_from(self, reference: Array) -> bool:
         """Whether the coefficients differ from others (c,) by what one of them alone would at SURE_sd."""
-        apart = self.value - other
+        apart = self.value - reference
         least = chdtri(len(apart), 2.0 * ndtr(-SURE_sd))  # of chi-square
         return bool(apart @ np.linalg.solve(self.covariance, apart) > least)
 
 
-def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
+def estimated(evidence: Evidence, weighed: Weighed, key: Key) -> Estimated:
     """Averaged over the variants and sizes of the effect, all others at their best."""
-    rest = [one for one in found.members if evidence.terms[one[0]].key != key]
+    rest = [one for one in weighed.members if evidence.terms[one[0]].key != key]
     means, covariances, weights, departs, terms, numbers = [], [], [], [], [], []
-    for number, scale, log in _ways(evidence, found, rest, key):
+    for number, scale, log in _ways(evidence, weighed, rest, key):
         term = evidence.terms[number]
-        size, covariance = evidence.estimate([*rest, (number, scale)], found.kappa)
-        own = slice(len(size) - term.count, len(size) - term.count + term.laws)
-        means.append(size[own] * term.size)
-        covariances.append(covariance[own, own] * term.size**2)
+        size, covariance = evidence.estimate([*rest, (number, scale)], weighed.kappa)
+        laws = slice(len(size) - term.count, len(size) - term.count + term.laws)
+        means.append(size[laws] * term.size)
+        covariances.append(covariance[laws, laws] * term.size**2)
         departs.append(_departure(term, size[len(size) - term.count :]))
         weights.append(np.exp(log))
         terms.append(term)
@@ -231,7 +231,7 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     apart = np.array(means) - mean
     covariance = np.einsum("v,vcd->cd", share, np.array(covariances)) + np.einsum("v,vc,vd->cd", share, apart, apart)
     best = terms[int(np.argmax(share))]
-    made = best.parameters if best.between is None else best.between(*_likeliest(evidence, found, rest, key))
+    made = best.parameters if best.between is None else best.between(*_likeliest(evidence, weighed, rest, key))
     named = made(mean, covariance) if made is not None else {}
     summed = dict.fromkeys(numbers, 0.0)
     for number, weight in zip(numbers, share.tolist(), strict=True):
@@ -240,13 +240,13 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
     return Estimated(named, departs_by, best.variable, mean, covariance, tuple(summed.items()))
 
 
-def _ways(evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: Key) -> list[tuple[int, int, float]]:
+def _ways(evidence: Evidence, weighed: Weighed, rest: list[tuple[int, int]], key: Key) -> list[tuple[int, int, float]]:
     """Variants and sizes that count, with their log evidence; those of exact laws left out, where a law may depart.
 
     No real part keeps its law: an interval holds only if it counts the departures that the data do not show.
     """
     ways = [
-        (number, scale, evidence.value([*rest, (number, scale)], found.kappa))
+        (number, scale, evidence.value([*rest, (number, scale)], weighed.kappa))
         for number in evidence.of_key[key]
         for scale in range(len(evidence.weights[number]))
         if not is_exact(evidence, number, scale)
@@ -255,7 +255,7 @@ def _ways(evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: 
     return [(number, scale, log - top) for number, scale, log in ways if log > top - MARGIN]
 
 
-def _likeliest(evidence: Evidence, found: Weighed, rest: Sequence[tuple[int, int]], key: Key) -> tuple[float, float]:
+def _likeliest(evidence: Evidence, weighed: Weighed, rest: Sequence[tuple[int, int]], key: Key) -> tuple[float, float]:
     """The likeliest variant between those that were tried, and the standard deviation of its logarithm: of the parabola of log
     evidence through the best one and its neighbours. At an end of what was tried it is that end, however sure.
     """
@@ -263,7 +263,7 @@ def _likeliest(evidence: Evidence, found: Weighed, rest: Sequence[tuple[int, int
     logs = np.array(
         [
             np.logaddexp.reduce(
-                [evidence.value([*rest, (number, scale)], found.kappa) for scale in range(len(evidence.weights[number]))]
+                [evidence.value([*rest, (number, scale)], weighed.kappa) for scale in range(len(evidence.weights[number]))]
             )
             for number in numbers
         ]
@@ -291,12 +291,12 @@ def _departure(term: Term, size: Array) -> float:
     slope = next((one for one in (term.slope_rad, term.slope_m, term.slope_Nm) if one is not None), None)
     if slope is None or not term.departures:
         return 0.0
-    own = slope[: term.laws + term.departures]
-    about = own - own.mean(axis=1, keepdims=True) if slope is term.slope_rad else own
-    flat = about.reshape(len(own), -1).T
-    law, whole = flat[:, : term.laws], flat @ size[: len(own)]
+    columns = slope[: term.laws + term.departures]
+    about = columns - columns.mean(axis=1, keepdims=True) if slope is term.slope_rad else columns
+    flat = about.reshape(len(columns), -1).T
+    law, whole = flat[:, : term.laws], flat @ size[: len(columns)]
     rest = whole - law @ np.linalg.lstsq(law, whole, rcond=None)[0]
-    done = float(np.linalg.norm(np.tensordot(size[: len(own)], own, 1)))
+    done = float(np.linalg.norm(np.tensordot(size[: len(columns)], columns, 1)))
     return float(np.linalg.norm(rest)) / done if done > 0.0 else 0.0
 
 
@@ -319,23 +319,23 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     places = {key: slice(end - len(own), end) for key, own, end in zip(names, columns, ends, strict=True)}
     alone = gram.tip[every, every] + gram.current[every, every]
     beside = {rival: alone - _taken(evidence, every, k) for rival, k in names.items()}
-    found = []
+    effects = []
     for key, at in places.items():
         seen_sd = _detectability(alone[at])
         rivals = [
-            other
-            for other, left in beside.items()
-            if other != key and seen_sd >= TOLD_APART_sd and _detectability(left[at]) < TOLD_APART_sd
+            rival
+            for rival, left in beside.items()
+            if rival != key and seen_sd >= TOLD_APART_sd and _detectability(left[at]) < TOLD_APART_sd
         ]
-        found.append(Nameable(key, round(seen_sd, 2), tuple(rivals), needed_sd=NAMEABLE_sd))
-    return tuple(found)
+        effects.append(Nameable(key, round(seen_sd, 2), tuple(rivals), needed_sd=NAMEABLE_sd))
+    return tuple(effects)
 
 
 def _taken(evidence: Evidence, columns: Places, rival: int) -> Array:
     """What a rival takes at most of G's diagonal at `columns`: all that the root mean square of what is left needs."""
-    at, one = evidence.places[rival], evidence.terms[rival]
+    at, term = evidence.places[rival], evidence.terms[rival]
     sd = np.full(len(at), RIVAL_LEVEL)
-    sd[one.laws : one.laws + one.departures] *= RIVAL_DEPARTURE
+    sd[term.laws : term.laws + term.departures] *= RIVAL_DEPARTURE
     return np.asarray(np.sum(evidence.taken(at, sd, columns, 1.0)[:, :-1] ** 2, axis=0))
 
 

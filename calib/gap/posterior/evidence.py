@@ -89,13 +89,13 @@ class Evidence:
 
     def __init__(self, gram: Gram, terms: Sequence[Term], doubt: float) -> None:
         self.gram, self.terms, self.doubt = gram, tuple(terms), doubt
-        ends = np.cumsum([one.count for one in terms])
-        self.places = [np.arange(end - one.count, end) for one, end in zip(terms, ends.tolist(), strict=True)]
+        ends = np.cumsum([term.count for term in terms])
+        self.places = [np.arange(end - term.count, end) for term, end in zip(terms, ends.tolist(), strict=True)]
         self.of_key: dict[Key, list[int]] = {}
-        for k, one in enumerate(terms):
-            self.of_key.setdefault(one.key, []).append(k)
-        self.scales = [one.scales() for one in terms]
-        share = [math.log(len(self.of_key[one.key])) for one in terms]
+        for k, term in enumerate(terms):
+            self.of_key.setdefault(term.key, []).append(k)
+        self.scales = [term.scales() for term in terms]
+        share = [math.log(len(self.of_key[term.key])) for term in terms]
         self.weights = [logs - own for (_, logs), own in zip(self.scales, share, strict=True)]
         self._starts = np.cumsum([0, *(len(numbers) for numbers in self.of_key.values())])
         self._by_key = np.concatenate([np.zeros(0, np.intp), *self.of_key.values()]).astype(np.intp)
@@ -109,26 +109,26 @@ class Evidence:
         """Batches of some terms, and the columns that they need; places in a batch count within these."""
         groups: dict[object, list[int]] = {}
         for k in numbers:
-            one, sd = self.terms[k], self.scales[k][0]
-            groups.setdefault((sd.shape, sd.tobytes(), one.laws, one.is_positive, one.is_name), []).append(k)
-        some = np.concatenate([self.places[k] for k in numbers])
-        within = np.zeros(int(some.max()) + 1, dtype=int)
-        within[some] = np.arange(len(some))
-        return [self._batch(own, within) for own in groups.values()], some
+            term, sd = self.terms[k], self.scales[k][0]
+            groups.setdefault((sd.shape, sd.tobytes(), term.laws, term.is_positive, term.is_name), []).append(k)
+        needed = np.concatenate([self.places[k] for k in numbers])
+        within = np.zeros(int(needed.max()) + 1, dtype=int)
+        within[needed] = np.arange(len(needed))
+        return [self._batch(own, within) for own in groups.values()], needed
 
-    def _batch(self, own: list[int], within: Array) -> Batch:
-        places, one = np.array([self.places[k] for k in own]), self.terms[own[0]]
+    def _batch(self, numbers: list[int], within: Array) -> Batch:
+        places, term = np.array([self.places[k] for k in numbers]), self.terms[numbers[0]]
         across = places[:, :, None], places[:, None, :]
         return Batch(
-            np.array(own),
+            np.array(numbers),
             within[places],
-            self.scales[own[0]][0],
-            np.array([self.weights[k] for k in own]),
-            one.laws,
-            one.is_positive,
-            np.array([[self.terms[k].least] for k in own]),
-            np.array([[self.terms[k].most] for k in own]),
-            one.is_name,
+            self.scales[numbers[0]][0],
+            np.array([self.weights[k] for k in numbers]),
+            term.laws,
+            term.is_positive,
+            np.array([[self.terms[k].least] for k in numbers]),
+            np.array([[self.terms[k].most] for k in numbers]),
+            term.is_name,
             self.gram.tip[across],
             self.gram.current[across],
         )
@@ -144,24 +144,24 @@ class Evidence:
         """Cholesky factor of I + V^1/2 G V^1/2."""
         return np.asarray(np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd))
 
-    def taken(self, at: Places, sd: Array, some: Places | slice, kappa: float) -> Array:
+    def taken(self, at: Places, sd: Array, others: Places | slice, kappa: float) -> Array:
         """What columns at places (k,) of prior deviations (k,) take of G and h of some others, (k, p + 1): T with T'T of it.
 
         Schur's complement, which is what they leave, is G - T'T and h - T't, t the last column.
         """
         if not len(at):
-            return np.zeros((0, len(self.gram.pull[some]) + 1))
+            return np.zeros((0, len(self.gram.pull[others]) + 1))
         half = np.linalg.inv(self._inner(at, sd, kappa)) * sd
-        return np.column_stack((half @ self.gram.among(at, some, kappa), half @ self.gram.drawn(at, kappa)))
+        return np.column_stack((half @ self.gram.among(at, others, kappa), half @ self.gram.drawn(at, kappa)))
 
     def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
         """What every term (or only those of a key) would add to a set."""
         at, sd = self._columns(members)
-        batches, some = self._asked[key]
-        both = self.taken(at, sd, some, kappa)
-        taken = np.ascontiguousarray(both[:, :-1].T)
-        pull = self.gram.drawn(some, kappa) - taken @ both[:, -1]
-        found = [self._of_batch(batch, taken, pull, kappa) for batch in batches]
+        batches, asked = self._asked[key]
+        both = self.taken(at, sd, asked, kappa)
+        factor = np.ascontiguousarray(both[:, :-1].T)
+        pull = self.gram.drawn(asked, kappa) - factor @ both[:, -1]
+        found = [self._of_batch(batch, factor, pull, kappa) for batch in batches]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
 
     def gains(self, added: Added) -> list[float]:
@@ -169,15 +169,15 @@ class Evidence:
         log = added.log[self._by_key]
         top = np.maximum.reduceat(log, self._starts[:-1])
         spread = np.add.reduceat(np.exp(log - np.repeat(top, np.diff(self._starts))), self._starts[:-1])
-        found: list[float] = (top + np.log(spread) + self._odds).tolist()
-        return found
+        gains: list[float] = (top + np.log(spread) + self._odds).tolist()
+        return gains
 
-    def _of_batch(self, batch: Batch, taken: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array]:
+    def _of_batch(self, batch: Batch, factor: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array]:
         """Log evidence that each term adds, the best of its scales, and how much that one alone adds."""
         seen = batch.tip / kappa**2 + batch.current
-        if taken.size:
-            own = taken[batch.places]  # (t, c, k)
-            seen -= own @ own.transpose(0, 2, 1)
+        if factor.size:
+            part = factor[batch.places]  # (t, c, k)
+            seen -= part @ part.transpose(0, 2, 1)
         sd = batch.sd
         whole = np.eye(sd.shape[1]) + seen[:, None] * (sd[:, :, None] * sd[:, None, :])
         drawn = pull[batch.places][:, None, :] * sd
@@ -223,11 +223,11 @@ class Evidence:
         covariance = sd[:, None] * (inner.T @ inner) * sd
         return np.asarray(covariance @ self.gram.drawn(at, kappa)), covariance
 
-    def sizes(self, found: Weighed) -> dict[int, Array]:
+    def sizes(self, weighed: Weighed) -> dict[int, Array]:
         """Coefficients (c,) of each term of a set by number, in usual sizes."""
-        size, _ = self.estimate(found.members, found.kappa)
-        ends = np.cumsum([self.terms[k].count for k, _ in found.members])[:-1]
-        numbers = (k for k, _ in found.members)
+        size, _ = self.estimate(weighed.members, weighed.kappa)
+        ends = np.cumsum([self.terms[k].count for k, _ in weighed.members])[:-1]
+        numbers = (k for k, _ in weighed.members)
         return dict(zip(numbers, np.split(size, ends), strict=False))
 
     def inflation(self, members: Sequence[Member], kappa: float) -> float:
@@ -238,10 +238,10 @@ class Evidence:
         at, _ = self._columns(members)
         size, covariance = self.estimate(members, kappa)
         seen = self.gram.tip[np.ix_(at, at)]
-        left = self.gram.left - 2.0 * float(size @ self.gram.pull[at]) + float(size @ seen @ size)
+        chi_square = self.gram.left - 2.0 * float(size @ self.gram.pull[at]) + float(size @ seen @ size)
         used = float(np.sum(covariance * seen)) / kappa**2
         free = max(self.gram.freedom - used, 1.0)
-        wanted = 0.5 * math.log(max(left, 1e-12) / free)
+        wanted = 0.5 * math.log(max(chi_square, 1e-12) / free)
         held = 1.0 / (1.0 + 1.0 / (2.0 * free * self.doubt**2))
         most = 3.0 * self.doubt
         return math.exp(wanted if wanted > most else max(held * wanted, -most))
@@ -262,9 +262,9 @@ class Added:
     top: Array
 
     @classmethod
-    def of(cls, numbers: Sequence[Array], found: Sequence[tuple[Array, Array, Array]], count: int) -> Added:
+    def of(cls, numbers: Sequence[Array], added: Sequence[tuple[Array, Array, Array]], count: int) -> Added:
         """From batches; minus infinity where a term was not asked for."""
         log, best, top = np.full(count, -np.inf), np.zeros(count, dtype=int), np.full(count, -np.inf)
-        for own, (a, b, c) in zip(numbers, found, strict=True):
+        for own, (a, b, c) in zip(numbers, added, strict=True):
             log[own], best[own], top[own] = a, b, c
         return cls(log, best, top)

@@ -51,12 +51,12 @@ class Search:
         for start in [*known, *self._starts()]:  # one after the other: many that fit anything would cut off the few
             self.of({*start, *self.forced})
             self._improve(expanded)
-        best = max(self.seen.values(), key=lambda one: one.log)
+        best = max(self.seen.values(), key=lambda weighed: weighed.log)
         for number, _ in best.members:
             if not self.evidence.terms[number].is_name:
                 self._regrow(best, number)
         self._improve(expanded)
-        return sorted(self.seen.values(), key=lambda one: -one.log)
+        return sorted(self.seen.values(), key=lambda weighed: -weighed.log)
 
     def of(self, keys: Collection[Key]) -> Weighed:
         """The set of some keys, in the evidence's order: a set's own differs from run to run."""
@@ -65,11 +65,11 @@ class Search:
     def _improve(self, expanded: set[frozenset[Key]]) -> None:
         """Best first, until nothing near the best is left to look into."""
         for _ in range(EXPANSIONS):
-            best = max(one.log for one in self.seen.values())
-            open_ = [(one.log, keys) for keys, one in self.seen.items() if keys not in expanded]
+            best = max(weighed.log for weighed in self.seen.values())
+            open_ = [(weighed.log, keys) for keys, weighed in self.seen.items() if keys not in expanded]
             if not open_:
                 break
-            top, keys = max(open_, key=lambda one: one[0])
+            top, keys = max(open_, key=lambda pair: pair[0])
             if top < best - WINDOW:
                 break
             expanded.add(keys)
@@ -78,15 +78,15 @@ class Search:
     def _regrow(self, best: Weighed, block: int) -> None:
         """Several terms in the place of a block: it may have soaked up what two or three effects do together."""
         but = self.evidence.terms[block].key
-        around = self.weigh([one for one in best.members if one[0] != block])
+        regrown = self.weigh([member for member in best.members if member[0] != block])
         for _ in range(REGROWTH):
             before = set(self.seen)
-            self._grow(around.members, around.kappa, 1, but, 0.0)
-            new = [one for keys, one in self.seen.items() if keys not in before]
-            more = max(new, key=lambda one: one.log, default=None)
-            if more is None or more.log <= around.log:
+            self._grow(regrown.members, regrown.kappa, 1, but, 0.0)
+            new = [weighed for keys, weighed in self.seen.items() if keys not in before]
+            more = max(new, key=lambda weighed: weighed.log, default=None)
+            if more is None or more.log <= regrown.log:
                 return
-            around = more
+            regrown = more
 
     def _starts(self) -> list[frozenset[Key]]:
         """Nothing, and what all joints have at once, if one has."""
@@ -109,22 +109,22 @@ class Search:
         number = numbers[len(numbers) // 2]
         return number, len(self.evidence.weights[number]) // 2
 
-    def _expand(self, around: Weighed) -> None:
+    def _expand(self, weighed: Weighed) -> None:
         """Weigh what is one term more, and, where nothing more pays, what is one less or one other."""
-        self._grow(around.members, around.kappa, GROWTH)
-        if max(one.log for one in self.seen.values()) > around.log + 1.0:
+        self._grow(weighed.members, weighed.kappa, GROWTH)
+        if max(rival.log for rival in self.seen.values()) > weighed.log + 1.0:
             return  # it is not at its best yet
-        self._grow(around.members, around.kappa, WIDTH)
-        is_best = around.log >= max(one.log for one in self.seen.values()) - EXCHANGED
-        for member, gain in zip(around.members, around.gains, strict=True):
+        self._grow(weighed.members, weighed.kappa, WIDTH)
+        is_best = weighed.log >= max(rival.log for rival in self.seen.values()) - EXCHANGED
+        for member, gain in zip(weighed.members, weighed.gains, strict=True):
             key = self.evidence.terms[member[0]].key
             if key in self.forced:
                 continue
-            rest = [one for one in around.members if one is not member]
+            rest = [present for present in weighed.members if present is not member]
             if gain < 2.0 * WINDOW:
                 self.weigh(rest)
             if is_best:
-                self._grow(rest, around.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
+                self._grow(rest, weighed.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
 
     def _grow(
         self, members: Sequence[Member], kappa: float, width: int, but: Key | None = None, least: float = GAIN_LEAST
@@ -151,31 +151,31 @@ class Search:
         keys = self.keys(members)
         if keys in self.seen:
             return self.seen[keys]
-        own, evidence = list(members), self.evidence
-        kappa, spread = evidence.inflation(own, 1.0), 0.0
+        current, evidence = list(members), self.evidence
+        kappa, spread = evidence.inflation(current, 1.0), 0.0
         gains: list[float] = []
-        kappa = evidence.inflation(own, kappa)
+        kappa = evidence.inflation(current, kappa)
         for _ in range(POLISHES):
-            before = tuple(own), kappa
+            before = tuple(current), kappa
             spread, gains = 0.0, []
-            for place in range(len(own)):
-                rest = [*own[:place], *own[place + 1 :]]
-                key = evidence.terms[own[place][0]].key
+            for place in range(len(current)):
+                rest = [*current[:place], *current[place + 1 :]]
+                key = evidence.terms[current[place][0]].key
                 added = evidence.added(rest, kappa, key)
                 number = int(np.argmax(added.top))
-                own[place] = number, int(added.best[number])
+                current[place] = number, int(added.best[number])
                 numbers = evidence.of_key[key]
                 more = float(np.log(np.sum(np.exp(added.log[numbers] - added.top[number]))))
                 spread += more
                 gains.append(float(added.top[number]) + more + evidence.terms[number].log_odds)
-            kappa = evidence.inflation(own, kappa)
-            if tuple(own) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
+            kappa = evidence.inflation(current, kappa)
+            if tuple(current) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
                 break
         never = sum(NEVER for gain in gains if gain < 0.5 * NEVER)  # a member that no real part can be
-        odds = sum(evidence.terms[k].log_odds for k, _ in own if evidence.terms[k].key not in self.forced)
-        found = Weighed(tuple(own), kappa, evidence.value(own, kappa) + spread + odds + never, tuple(gains))
-        self.seen[keys] = found
-        return found
+        odds = sum(evidence.terms[k].log_odds for k, _ in current if evidence.terms[k].key not in self.forced)
+        weighed = Weighed(tuple(current), kappa, evidence.value(current, kappa) + spread + odds + never, tuple(gains))
+        self.seen[keys] = weighed
+        return weighed
 
 
 class MergingSearch(Search):
@@ -191,20 +191,20 @@ class MergingSearch(Search):
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
-        found = super().run((start & self.evidence.of_key.keys()) - self.barred for start in known)
+        ranked = super().run((start & self.evidence.of_key.keys()) - self.barred for start in known)
         for _ in range(MERGES):
-            best = found[0]
+            best = ranked[0]
             for pair in combinations(best.members, 2):
                 places = {self._joint(number) for number, _ in pair}
                 if len(places) == 1:
-                    rest = [one for one in best.members if one not in pair]
+                    rest = [member for member in best.members if member not in pair]
                     self.weigh(rest)
                     self._grow(rest, best.kappa, BESIDE)
             self._improve(set())
-            found = sorted(self.seen.values(), key=lambda one: -one.log)
-            if found[0] is best:
+            ranked = sorted(self.seen.values(), key=lambda weighed: -weighed.log)
+            if ranked[0] is best:
                 break
-        return found
+        return ranked
 
     def may_join(self, key: Key, present: Collection[Key]) -> bool:
         """Not two that are one thing: with both, each hides what the other does."""

@@ -123,20 +123,20 @@ class Term:
 def on_joint(course: Array, joint: int, n: int) -> Array:
     """Courses (c, m) or (m,) on one joint (0-based) of n: (c, m, n)."""
     courses = np.atleast_2d(course)
-    found = np.zeros((*courses.shape, n))
-    found[:, :, joint] = courses
-    return found
+    on_joints = np.zeros((*courses.shape, n))
+    on_joints[:, :, joint] = courses
+    return on_joints
 
 
 def like(law: Array, shapes: Sequence[Array]) -> list[Array]:
     """Shapes scaled to the root mean square of a law's column; those that are nothing left out."""
     size = float(np.sqrt(np.mean(law**2)))
-    found = []
+    scaled = []
     for shape in shapes:
-        own = float(np.sqrt(np.mean(shape**2)))
-        if own > 1e-12 * max(size, 1e-300):
-            found.append(shape * (size / own))
-    return found
+        shape_rms = float(np.sqrt(np.mean(shape**2)))
+        if shape_rms > 1e-12 * max(size, 1e-300):
+            scaled.append(shape * (size / shape_rms))
+    return scaled
 
 
 def smooth(values: Array, degree: int = SMOOTH) -> Array:

@@ -65,34 +65,34 @@ class Told:
             for key, some in evidence.of_key.items()
             if isinstance(key, EffectName) and key.effect in effects and key not in withdrawn
         }
-        told = [(evidence.terms[k], evidence.places[k]) for k in numbers.values()]
-        s = np.concatenate([np.zeros(0, np.intp), *(at[: one.laws] for one, at in told)])
-        size = np.concatenate([np.zeros(0), *(np.full(one.laws, one.size) for one, _ in told)])
+        known = [(evidence.terms[k], evidence.places[k]) for k in numbers.values()]
+        s = np.concatenate([np.zeros(0, np.intp), *(at[: term.laws] for term, at in known)])
+        size = np.concatenate([np.zeros(0), *(np.full(term.laws, term.size) for term, _ in known)])
         p, sd = [np.zeros(0, np.intp)], [np.zeros(0)]
         for number, scale in best.members:
-            one, own_sd = evidence.terms[number], evidence.scales[number][0][scale].copy()
-            first = one.laws if one.key in numbers else 0
+            term, own_sd = evidence.terms[number], evidence.scales[number][0][scale].copy()
+            first = term.laws if term.key in numbers else 0
             if first:
-                own_sd[first : first + one.departures] = ROUGH * own_sd[0]
+                own_sd[first : first + term.departures] = ROUGH * own_sd[0]
             p.append(evidence.places[number][first:])
             sd.append(own_sd[first:])
         if before is not None:
             evidence = copy.copy(evidence)
             evidence.gram = before.beside(evidence.gram, evidence.terms, evidence.places, -1.0)
-        taken = evidence.taken(np.concatenate(p), np.concatenate(sd), s, best.kappa)
+        factor = evidence.taken(np.concatenate(p), np.concatenate(sd), s, best.kappa)
         seen, pull = evidence.gram.among(s, s, best.kappa), evidence.gram.drawn(s, best.kappa)
-        ends = itertools.accumulate((one.laws for one, _ in told), initial=0)
+        ends = itertools.accumulate((term.laws for term, _ in known), initial=0)
         places = {key: np.arange(*ab) for key, ab in zip(numbers, itertools.pairwise(ends), strict=True)}
-        information = (seen - taken[:, :-1].T @ taken[:, :-1]) / np.outer(size, size)
-        return cls(places, information, (pull - taken[:, :-1].T @ taken[:, -1]) / size, size)
+        information = (seen - factor[:, :-1].T @ factor[:, :-1]) / np.outer(size, size)
+        return cls(places, information, (pull - factor[:, :-1].T @ factor[:, -1]) / size, size)
 
     def widened(self, name: EffectName, covariance: Array) -> Told:
         """With a covariance (c, c) of one effect's unknowns that no Gram matrix has: (I^-1 + C)^-1, by Woodbury's identity."""
         across = self.information[:, self.places[name]]
         inner = np.eye(len(covariance)) + covariance @ across[self.places[name]]
-        taken = across @ np.linalg.solve(inner, covariance)
+        gain = across @ np.linalg.solve(inner, covariance)
         return dataclasses.replace(
-            self, information=self.information - taken @ across.T, pull=self.pull - taken @ self.pull[self.places[name]]
+            self, information=self.information - gain @ across.T, pull=self.pull - gain @ self.pull[self.places[name]]
         )
 
     def knows_better(self, name: EffectName, other: Told) -> bool:
@@ -127,9 +127,9 @@ class Told:
     def beyond(self, arm: Arm, sign: float = 1.0) -> Told:
         """Of changes beside what the arm's file has, in place of totals; `sign` -1: the other way."""
         known = np.zeros(len(self.pull))
-        for one in arm.effects:
-            if (places := self.places.get(EffectName(one.effect, one.joint))) is not None:
-                known[places] = linear_values(one.effect, one.parameters)
+        for effect in arm.effects:
+            if (places := self.places.get(EffectName(effect.effect, effect.joint))) is not None:
+                known[places] = linear_values(effect.effect, effect.parameters)
         return dataclasses.replace(self, pull=self.pull - sign * self.information @ known)
 
     def beside(self, gram: Gram, terms: Sequence[Term], places: Sequence[Places], sign: float = 1.0) -> Gram:
@@ -139,9 +139,9 @@ class Told:
         if not self.places:
             return gram
         spread = np.zeros((len(gram.pull), len(self.pull)))
-        for one, at in zip(terms, places, strict=True):
-            for row, column in zip(at[: one.laws], self._of(one.key), strict=False):
-                spread[row, column] = one.size
+        for term, at in zip(terms, places, strict=True):
+            for row, column in zip(at[: term.laws], self._of(term.key), strict=False):
+                spread[row, column] = term.size
         return dataclasses.replace(
             gram,
             current=gram.current + sign * spread @ self.information @ spread.T,
