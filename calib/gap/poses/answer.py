@@ -62,8 +62,8 @@ def answered(prepared: Looked, linearised: Around, decision: Decision) -> Static
     beside = _open_members(linearised, decision)
     decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
-    last, given = files[-1], placed(looked.arm, points, parts.known)
-    nominal, residuals = given.left(), [file.fit.left() for file in files]
+    last, nominal_fit = files[-1], placed(looked.arm, points, parts.known)
+    nominal, residuals = nominal_fit.left(), [file.fit.left() for file in files]
     gaps = [residual.times(floor.tip_m, floor.turn_rad, parts.report) for residual in residuals]
     effects = [
         _named(linearised, decision, last, name, estimates[name], gap)
@@ -74,7 +74,7 @@ def answered(prepared: Looked, linearised: Around, decision: Decision) -> Static
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
     if not effects and not last.arm.maps:
         # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
-        last, residuals = dataclasses.replace(last, arm=looked.arm, fit=given), [nominal]
+        last, residuals = dataclasses.replace(last, arm=looked.arm, fit=nominal_fit), [nominal]
     finding = _finding(linearised, decision, reasons, tuple(effects), floor, (nominal, residuals[-1]))
     corrected = {correction.joint for correction in last.arm.maps}
     held = (*decision.names, *(name for name in beside if name.joint in corrected))
