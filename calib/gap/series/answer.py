@@ -20,7 +20,7 @@ from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.scene import SeriesTerm
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.file import Identified, identified
-from calib.gap.series.linear import SeriesFit, left
+from calib.gap.series.linear import SeriesFit, residual_of
 from calib.gap.series.outcome import gap, in_si
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only
@@ -68,40 +68,40 @@ def judged(fit: SeriesFit, parts: RowSplit, harming: Sequence[Key]) -> SeriesVer
     laws alone.
     """
     reporting = parts.reporting
-    said: list[str] = []
-    other: list[NamelessShape] = []
+    sentences: list[str] = []
+    nameless: list[NamelessShape] = []
     corrected, names = [], []
-    for one in members(fit):
-        key = one.term.key
-        if one.term.curve is not None and one.size[0] < one.term.least:
+    for member in members(fit):
+        key = member.term.key
+        if member.term.curve is not None and member.size[0] < member.term.least:
             continue  # nearer to nought than its law's least, at which it would stand in the file or be taken off
-        if correction := _correction(fit, one):
-            said.append(correction)
-            corrected.append(one.number)
-        elif key in fit.decision.names and one.term.law is not None and one.is_sure:
-            if not one.term.law(one.size).is_worth_a_name(fit.around.scene.given_Nm):
+        if correction := _correction(fit, member):
+            sentences.append(correction)
+            corrected.append(member.number)
+        elif key in fit.decision.names and member.term.law is not None and member.is_sure:
+            if not member.term.law(member.size).is_worth_a_name(fit.around.scene.given_Nm):
                 continue
-            if against := _against(fit, one, reporting):
-                said.append(f"{against.words}: not named")
-                other += [against] if abs(against.worth) > REMAINS else []
+            if against := _against(fit, member, reporting):
+                sentences.append(f"{against.words}: not named")
+                nameless += [against] if abs(against.worth) > REMAINS else []
             else:
-                names.append(one.number)
+                names.append(member.number)
     named = dominant_names(fit, names, corrected, reporting)
     overshadowed = [_overshadowed(fit, k, [*named, *corrected], reporting) for k in names if k not in named]
-    said += [f"{one.words}: not named" for one in overshadowed if one.worth > REMAINS]
-    other += [one for one in overshadowed if one.worth > REMAINS]
-    said += [f"{key} improves the fitted runs, but not the held-out ones: ignored" for key in harming]
-    other += _contested(fit, reporting)
-    some = with_only(fit, [*named, *corrected])
-    file = identified(some, [one for one in members(some) if one.number in (*named, *corrected)], parts)
+    sentences += [f"{shape.words}: not named" for shape in overshadowed if shape.worth > REMAINS]
+    nameless += [shape for shape in overshadowed if shape.worth > REMAINS]
+    sentences += [f"{key} improves the fitted runs, but not the held-out ones: ignored" for key in harming]
+    nameless += _contested(fit, reporting)
+    reduced = with_only(fit, [*named, *corrected])
+    file = identified(reduced, [member for member in members(reduced) if member.number in (*named, *corrected)], parts)
     for name, why in file.dropped.items():
         number = next(k for k in named if fit.linear.terms[k].key == name)
-        said.append(f"{name} {why}: not named")
+        sentences.append(f"{name} {why}: not named")
         left_out = NamelessShape(_worth(fit, number, reporting), f"{name} {why}", number, name)
-        other += [left_out] if left_out.worth > REMAINS else []
+        nameless += [left_out] if left_out.worth > REMAINS else []
     named = [k for k in named if fit.linear.terms[k].key not in file.dropped]
     sets = tuple(group for group in fit.decision.ambiguous if _is_material(fit, group))
-    return _verdict(fit, with_only(fit, [*named, *corrected]), named, file, other, sets, harming, said, reporting)
+    return _verdict(fit, with_only(fit, [*named, *corrected]), named, file, nameless, sets, harming, sentences, reporting)
 
 
 def _verdict(
@@ -109,47 +109,48 @@ def _verdict(
     fit: SeriesFit,
     named: Collection[int],
     file: Identified,
-    other: Sequence[NamelessShape],
+    nameless: Sequence[NamelessShape],
     sets: tuple[tuple[EffectName, ...], ...],
     harming: Sequence[Key],
-    said: Sequence[str],
+    sentences: Sequence[str],
     reporting: Picked,
 ) -> SeriesVerdict:
     """Of a fit whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
     laws: dict[EffectName, Law] = {}
     spread: dict[EffectName, Array] = {}
     departs: dict[EffectName, float] = {}
-    kept: set[Key] = set()
-    some = list(members(fit))
-    corrected = tuple((one.term, file.size[one.number]) for one in some if one.number in file.size and one.number not in named)
-    for one in some:
-        key = one.term.key
-        if isinstance(key, Block) and one.term.words != CAMERA:
+    explaining: set[Key] = set()
+    best_set = list(members(fit))
+    corrected = tuple((m.term, file.size[m.number]) for m in best_set if m.number in file.size and m.number not in named)
+    for member in best_set:
+        key = member.term.key
+        if isinstance(key, Block) and member.term.words != CAMERA:
             continue
-        kept.add(key)
-        if isinstance(key, EffectName) and one.number in named and one.term.law is not None:
-            own = dataclasses.replace(one, size=file.size[one.number], covariance=file.covariance[one.number])
-            laws[key], departs[key], spread[key] = (one.term.law(own.size).bounded(), one.departure, covariance_of_values(own))
-    left_over = list(other)
-    for one in some:
-        key = one.term.key
+        explaining.add(key)
+        if isinstance(key, EffectName) and member.number in named and member.term.law is not None:
+            filed = dataclasses.replace(member, size=file.size[member.number], covariance=file.covariance[member.number])
+            laws[key], departs[key] = member.term.law(filed.size).bounded(), member.departure
+            spread[key] = covariance_of_values(filed)
+    left_over = list(nameless)
+    for member in best_set:
+        key = member.term.key
         is_open = any(key in group for group in fit.decision.remainders)
         is_likely = is_open or fit.decision.probability.get(key, 0.0) > 0.5
-        if not isinstance(key, Block) or key in kept or not is_likely:
+        if not isinstance(key, Block) or key in explaining or not is_likely:
             continue
-        worth = _worth(fit, one.number, reporting)
+        worth = _worth(fit, member.number, reporting)
         if worth <= REMAINS:
             continue
-        law, share = bends(fit, one, [own for own in some if own.term.key in laws])
+        law, share = bends(fit, member, [named_member for named_member in best_set if named_member.term.key in laws])
         if law is None:
-            left_over.append(NamelessShape(worth, one.term.words, one.number))
+            left_over.append(NamelessShape(worth, member.term.words, member.number))
         else:
             departs[law] = math.hypot(departs[law], share)
-            kept.add(key)
+            explaining.add(key)
     remainder = _remainder(whole, left_over, reporting)
-    explained = kept.union(*sets)  # one of a set explains what it does, whichever it is
-    unknown = _unknown(whole, left_over, kept) or _silent(whole, what_is_left(whole, explained), reporting, harming)
-    return SeriesVerdict(fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said))
+    explained = explaining.union(*sets)  # one of a set explains what it does, whichever it is
+    unknown = _unknown(whole, left_over, explaining) or _silent(whole, what_is_left(whole, explained), reporting, harming)
+    return SeriesVerdict(fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(explaining), tuple(sentences))
 
 
 def _overshadowed(fit: SeriesFit, number: int, others: Sequence[int], reporting: Picked) -> NamelessShape:
@@ -157,19 +158,19 @@ def _overshadowed(fit: SeriesFit, number: int, others: Sequence[int], reporting:
     name = fit.linear.terms[number].key
     assert isinstance(name, EffectName)
     rest = with_only(fit, others).numbers
-    worth = grown(fit, left(fit, rest), left(fit, [*rest, number]), reporting)
+    worth = grown(fit, residual_of(fit, rest), residual_of(fit, [*rest, number]), reporting)
     return NamelessShape(worth, f"the residual is larger than what {name} explains", number, name)
 
 
-def _correction(fit: SeriesFit, one: Member) -> str:
+def _correction(fit: SeriesFit, member: Member) -> str:
     """When camera or currents are read is no effect of the arm: said, and taken off."""
-    if one.term.words == CAMERA:
-        time_ms = 1e3 * float(one.size[0]) * one.term.size
+    if member.term.words == CAMERA:
+        time_ms = 1e3 * float(member.size[0]) * member.term.size
         way = "late" if time_ms < 0.0 else "early"
         return f"the camera's times are {abs(time_ms):.2f} ms {way}: corrected"
-    if isinstance(one.term.key, EffectName) and one.term.key.effect == SAMPLING and one.term.law is not None:
+    if isinstance(member.term.key, EffectName) and member.term.key.effect == SAMPLING and member.term.law is not None:
         # as the refit has it; beside nuisances, a command that is late by as little says the same
-        time_ms = 1e3 * fit.around.found.get(one.term.key, one.term.law(one.size)).values[0]
+        time_ms = 1e3 * fit.around.found.get(member.term.key, member.term.law(member.size)).values[0]
         if THINNED[0] < 1e-3 * time_ms * fit.around.scene.recording.filters.rate_Hz < THINNED[1]:
             return (
                 "other voltages were held between these samples, half a sample away on the whole: was the log thinned out?"
@@ -184,15 +185,15 @@ def _correction(fit: SeriesFit, one: Member) -> str:
     return ""
 
 
-def _against(fit: SeriesFit, one: Member, reporting: Picked) -> NamelessShape | None:
+def _against(fit: SeriesFit, member: Member, reporting: Picked) -> NamelessShape | None:
     """Why a name cannot stand, if it cannot."""
-    name, worth = one.term.key, _worth(fit, one.number, reporting)
+    name, worth = member.term.key, _worth(fit, member.number, reporting)
     rival = name if isinstance(name, EffectName) else None
     # Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
-    if one.departure > LAW_MOST and not one.term.is_common:
-        return NamelessShape(worth, f"what {name} would explain departs too far from its law", one.number, rival)
+    if member.departure > LAW_MOST and not member.term.is_common:
+        return NamelessShape(worth, f"what {name} would explain departs too far from its law", member.number, rival)
     if worth < 0.0:
-        return NamelessShape(worth, f"{name} improves the fitted runs, but not the held-out ones", one.number, rival)
+        return NamelessShape(worth, f"{name} improves the fitted runs, but not the held-out ones", member.number, rival)
     return None
 
 
@@ -203,49 +204,49 @@ def _contested(fit: SeriesFit, reporting: Picked) -> Iterator[NamelessShape]:
         for number in fit.numbers:
             key = fit.linear.terms[number].key
             if key in group and isinstance(key, EffectName):
-                words = next(one.words for one in fit.linear.terms if one.key == blocks[0])
+                words = next(term.words for term in fit.linear.terms if term.key == blocks[0])
                 worth = _worth(fit, number, reporting)
                 if worth > REMAINS:
                     yield NamelessShape(worth, f"{words}, or {key}", number, key)
 
 
-def covariance_of_values(one: Member) -> Array:
+def covariance_of_values(member: Member) -> Array:
     """Covariance of a law's values from that of all its coefficients, with how far the values are from where these put them.
 
     A linearisation speaks for its law in part of the range alone, and no value is below nought: at such an end a value stays
     although its coefficient goes on, and is known no better for it. So the slopes are those inside.
     """
-    assert one.term.law is not None
-    inside = one.size.copy()
-    inside[one.term.laws + one.term.departures :] = 0.0
-    if one.term.curve is not None:
-        inside[0] = one.term.curve.start / one.term.curve.size
-    here, step = np.array(one.term.law(inside).values), 1e-3 * max(abs(float(inside[0])), 1e-6)
-    moved = [np.array(one.term.law(inside + step * way).values) - here for way in np.eye(len(inside))]
+    assert member.term.law is not None
+    inside = member.size.copy()
+    inside[member.term.laws + member.term.departures :] = 0.0
+    if member.term.curve is not None:
+        inside[0] = member.term.curve.start / member.term.curve.size
+    here, step = np.array(member.term.law(inside).values), 1e-3 * max(abs(float(inside[0])), 1e-6)
+    moved = [np.array(member.term.law(inside + step * way).values) - here for way in np.eye(len(inside))]
     slopes = np.array(moved).T / step
-    beyond = here + slopes @ (one.size - inside) - one.term.law(one.size).bounded().values
-    return np.asarray(slopes @ one.covariance @ slopes.T + np.outer(beyond, beyond))
+    beyond = here + slopes @ (member.size - inside) - member.term.law(member.size).bounded().values
+    return np.asarray(slopes @ member.covariance @ slopes.T + np.outer(beyond, beyond))
 
 
 def _worth(fit: SeriesFit, number: int, reporting: Picked) -> float:
     """By how much the squared gap of a cell grows on the rows kept apart, at most, without a term; negative where it shrinks."""
-    return grown(fit, left(fit, fit.numbers, [number]), left(fit, fit.numbers), reporting)
+    return grown(fit, residual_of(fit, fit.numbers, [number]), residual_of(fit, fit.numbers), reporting)
 
 
 def what_is_left(fit: SeriesFit, keys: Collection[Key]) -> Array:
     """What these leave of all rows beside how what is known departs, as estimated beside blocks, (rows,)."""
     terms = fit.linear.terms
     drop = [k for k in fit.numbers if terms[k].key not in keys and isinstance(terms[k].key, Block)]
-    return left(fit, [k for k in fit.numbers if terms[k].key in keys or k in drop], drop)
+    return residual_of(fit, [k for k in fit.numbers if terms[k].key in keys or k in drop], drop)
 
 
-def _unknown(fit: SeriesFit, other: Sequence[NamelessShape], kept: Collection[Key]) -> Unknown | None:
+def _unknown(fit: SeriesFit, nameless: Sequence[NamelessShape], explaining: Collection[Key]) -> Unknown | None:
     """The largest of what is left."""
-    if not other:
+    if not nameless:
         return None
-    one = max(other, key=lambda one: one.worth)
-    nearest, share = _nearest(fit, kept)
-    return Unknown(one.words, one.rival or nearest, round(share, 3))
+    largest = max(nameless, key=lambda largest: largest.worth)
+    nearest, share = _nearest(fit, explaining)
+    return Unknown(largest.words, largest.rival or nearest, round(share, 3))
 
 
 def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[Key]) -> Unknown | None:
@@ -265,13 +266,13 @@ def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[K
     )
 
 
-def _nearest(fit: SeriesFit, kept: Collection[Key]) -> tuple[EffectName | None, float]:
+def _nearest(fit: SeriesFit, explaining: Collection[Key]) -> tuple[EffectName | None, float]:
     """The effect that is not named and explains most beside the names, and its share of what these leave."""
     evidence, best, terms = fit.evidence, fit.best, fit.linear.terms
-    named = tuple(one for one in best.members if terms[one[0]].key in kept)
+    named = tuple(entry for entry in best.members if terms[entry[0]].key in explaining)
     added = evidence.added(named, best.kappa)
     others = [
-        k for k, one in enumerate(terms) if isinstance(one.key, EffectName) and one.key.effect in EFFECTS and one.key not in kept
+        k for k, t in enumerate(terms) if isinstance(t.key, EffectName) and t.key.effect in EFFECTS and t.key not in explaining
     ]
     if not others:
         return None, 0.0
@@ -281,34 +282,34 @@ def _nearest(fit: SeriesFit, kept: Collection[Key]) -> tuple[EffectName | None, 
     at = np.concatenate([np.zeros(0, np.intp), *(evidence.places[number] for number, _ in named)])
     law = evidence.places[top][: terms[top].laws]  # without departures, which could bend it to anything
     seen, pull = evidence.gram.tip, evidence.gram.pull
-    taken = np.linalg.lstsq(seen[np.ix_(at, at)], np.column_stack((seen[np.ix_(at, law)], pull[at])), rcond=None)[0]
-    own = seen[np.ix_(law, law)] - seen[np.ix_(law, at)] @ taken[:, :-1]
-    drawn = pull[law] - seen[np.ix_(law, at)] @ taken[:, -1]
-    explained = float(drawn @ np.linalg.lstsq(own, drawn, rcond=None)[0])
+    shared = np.linalg.lstsq(seen[np.ix_(at, at)], np.column_stack((seen[np.ix_(at, law)], pull[at])), rcond=None)[0]
+    apart = seen[np.ix_(law, law)] - seen[np.ix_(law, at)] @ shared[:, :-1]
+    drawn = pull[law] - seen[np.ix_(law, at)] @ shared[:, -1]
+    explained = float(drawn @ np.linalg.lstsq(apart, drawn, rcond=None)[0])
     key = terms[top].key
     return (key if isinstance(key, EffectName) else None), (float(np.clip(explained / excess, 0.0, 1.0)) if excess > 0.0 else 0.0)
 
 
-def _remainder(fit: SeriesFit, other: Sequence[NamelessShape], reporting: Picked) -> tuple[Remainder, ...]:
+def _remainder(fit: SeriesFit, nameless: Sequence[NamelessShape], reporting: Picked) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first."""
-    whole = left(fit, fit.numbers)
+    whole = residual_of(fit, fit.numbers)
     scene = fit.around.scene
-    found = []
-    for one in sorted(other, key=lambda one: -one.worth):
-        if one.worth > 0.0:
-            moved = left(fit, fit.numbers, [one.number]) - whole
+    remainders = []
+    for shape in sorted(nameless, key=lambda shape: -shape.worth):
+        if shape.worth > 0.0:
+            moved = residual_of(fit, fit.numbers, [shape.number]) - whole
             size = {
                 channel: value for channel, value in in_si(moved, scene.rows.table, reporting, scene.arm).items() if value > 0.0
             }
-            found.append(Remainder(one.words, _share(fit, one.number), size))
-    return tuple(found)
+            remainders.append(Remainder(shape.words, _share(fit, shape.number), size))
+    return tuple(remainders)
 
 
 def _share(fit: SeriesFit, number: int) -> float:
     """Of the excess of all rows that decide over what the best set leaves, what a term explains."""
     whole = left_with(fit.evidence, fit.best)
     excess = fit.evidence.gram.left - whole
-    rest = dataclasses.replace(fit.best, members=tuple(one for one in fit.best.members if one[0] != number))
+    rest = dataclasses.replace(fit.best, members=tuple(entry for entry in fit.best.members if entry[0] != number))
     return float(np.clip((left_with(fit.evidence, rest) - whole) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
 
 
@@ -320,11 +321,11 @@ def _is_material(fit: SeriesFit, names: Sequence[EffectName]) -> bool:
 
 def seen_by_sensors(verdict: SeriesVerdict, count: int) -> Array:
     """What is taken off as the sensors' own and is no law, of all rows (count,)."""
-    found = np.zeros(count)
-    for one, size in verdict.corrected:
-        for cell, own in one.response.items() if one.law is None else ():
-            found[verdict.fit.around.scene.cells[cell].rows] += own @ size
-    return found
+    sensed = np.zeros(count)
+    for term, size in verdict.corrected:
+        for cell, columns in term.response.items() if term.law is None else ():
+            sensed[verdict.fit.around.scene.cells[cell].rows] += columns @ size
+    return sensed
 
 
 def named_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
@@ -342,17 +343,17 @@ def named_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
             departure=verdict.departure[name],
             variable=fit.linear.terms[numbers[name]].variable,
         )
-        for name in sorted(share, key=lambda one: -share[one])
+        for name in sorted(share, key=lambda key: -share[key])
     )
 
 
 def nameable_effects(fit: SeriesFit) -> tuple[Nameable, ...]:
     """Detectability of every effect's usual size, and its rivals, whatever is nominal taken as right."""
-    some: dict[Key, list[int]] = {}
-    for number, one in enumerate(fit.linear.terms):
-        if isinstance(one.key, EffectName) and one.key.effect in EFFECTS:
-            some.setdefault(one.key, []).append(number)
-    middle = [numbers[len(numbers) // 2] for numbers in some.values()]
+    variants: dict[Key, list[int]] = {}
+    for number, term in enumerate(fit.linear.terms):
+        if isinstance(term.key, EffectName) and term.key.effect in EFFECTS:
+            variants.setdefault(term.key, []).append(number)
+    middle = [numbers[len(numbers) // 2] for numbers in variants.values()]
     if not middle:
         return ()
     at = fit.linear.at(middle)[fit.linear.first :]

@@ -22,9 +22,9 @@ PRESLIDING_rad = (0.001, 0.003, 0.01)
 ACCELERATION = "acceleration"  # of a block: what a rotor does that the file does not know
 
 
-def blocks_of(around: OperatingPoint) -> Iterator[SeriesTerm]:
+def blocks_of(point: OperatingPoint) -> Iterator[SeriesTerm]:
     """All of them for these channels."""
-    scene = around.scene
+    scene = point.scene
     for joint in range(1, scene.arm.joint_count + 1):
         yield from _torques(scene, joint)
         yield from _windings(scene, joint)
@@ -32,7 +32,7 @@ def blocks_of(around: OperatingPoint) -> Iterator[SeriesTerm]:
             yield from _angles(scene, joint)
     if scene.recording.has_tip:
         yield from _fields(scene)
-    yield from _clocks(around)
+    yield from _clocks(point)
 
 
 def _unit(columns: Array) -> Array:
@@ -67,13 +67,13 @@ def _torques(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     size = torque_size(scene, j)
     for variable, words, columns in _of_torque(at, j, scene.arm.joint_count):
         if columns.size and np.ptp(columns) > 0.0:
-            said = f"the current of joint {joint}, {words}"
-            yield from _block(joint, variable, said, scene.torque(j, size * _unit(columns)))
+            sentence = f"the current of joint {joint}, {words}"
+            yield from _block(joint, variable, sentence, scene.torque(j, size * _unit(columns)))
 
 
 def _of_torque(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
     """Variable, words and shapes (c, m) of torques on a joint."""
-    q, v, a, load, way = (own[:, j] for own in (at.q, at.speed, at.acceleration, at.load_Nm, at.direction))
+    q, v, a, load, way = (signal[:, j] for signal in (at.q, at.speed, at.acceleration, at.load_Nm, at.direction))
     current = at.current_A[:, j]
     speed = v / max(float(np.sqrt(np.mean(v**2))), 1e-9)
     even = np.ones((1, len(q)))  # friction that changes has a mean, too, which is not Coulomb's
@@ -156,9 +156,9 @@ def _angles(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     at, j = scene.beside[number], joint - 1
     size = USUAL * ZERO_rad
     for variable, words, columns in _of_an_angle(at, j, scene.arm.joint_count):
-        said = f"the tip, {words}" if words.startswith("as if") else f"the tip, as if joint {joint} were elsewhere, {words}"
+        sentence = f"the tip, {words}" if words.startswith("as if") else f"the tip, as if joint {joint} were elsewhere, {words}"
         yield from _block(
-            joint, f"tip {variable}", said.replace("its", f"joint {joint}'s"), scene.ahead(j, size * _unit(columns))
+            joint, f"tip {variable}", sentence.replace("its", f"joint {joint}'s"), scene.ahead(j, size * _unit(columns))
         )
     for k in range(2, 38, 6):  # harmonics of its turn, a few at a time
         waves = np.array([wave(n * at.q[:, j]) for n in (k, k + 2, k + 4) for wave in (np.sin, np.cos)])
@@ -206,9 +206,9 @@ def _fields(scene: SeriesScene) -> Iterator[SeriesTerm]:
     yield from _block(0, "tip field", "the tip: the measured places are off by a smooth field", {number: size * columns.T})
 
 
-def _clocks(around: OperatingPoint) -> Iterator[SeriesTerm]:
+def _clocks(point: OperatingPoint) -> Iterator[SeriesTerm]:
     """Clocks that differ: the camera's, and the moment at which a sample is read."""
-    scene = around.scene
+    scene = point.scene
     number = scene.number("tip_m")
     if number is not None:
         speeds = scene.beside[number].speed

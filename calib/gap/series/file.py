@@ -43,14 +43,14 @@ class Identified:
     dropped: Mapping[EffectName, str]
 
 
-def identified(fit: SeriesFit, some: Sequence[Member], parts: RowSplit) -> Identified:
+def identified(fit: SeriesFit, candidates: Sequence[Member], parts: RowSplit) -> Identified:
     """Least squares of the laws of members of a fit's best set on the rows that decide, without those that do not help."""
     dropped: dict[EffectName, str] = {}
     while True:
-        found = _Laws.of(fit, [one for one in some if one.term.key not in dropped], parts)
-        why = found.against()
+        laws = _Laws.of(fit, [member for member in candidates if member.term.key not in dropped], parts)
+        why = laws.against()
         if not why:
-            return Identified(found.sizes(), found.stated(), dropped)
+            return Identified(laws.sizes(), laws.stated(), dropped)
         dropped |= why
 
 
@@ -70,45 +70,45 @@ class _Laws:
     ridge: Array
 
     @classmethod
-    def of(cls, fit: SeriesFit, some: Sequence[Member], parts: RowSplit) -> _Laws:
-        ways = tuple(map(_ways, some))
+    def of(cls, fit: SeriesFit, members: Sequence[Member], parts: RowSplit) -> _Laws:
+        ways = tuple(map(_ways, members))
         ends = np.cumsum([0, *(free.shape[1] for _, free in ways)]).tolist()
         places = tuple(slice(first, end) for first, end in itertools.pairwise(ends))
         table = np.zeros((len(fit.linear.y), ends[-1] + 1))
         table[:, -1] = fit.linear.y
-        for one, (offset, free), place in zip(some, ways, places, strict=True):
-            for cell, own in one.term.response.items():
+        for member, (offset, free), place in zip(members, ways, places, strict=True):
+            for cell, columns in member.term.response.items():
                 rows = fit.around.scene.cells[cell].rows
-                table[rows, place] += own @ free
-                table[rows, -1] -= own @ offset
+                table[rows, place] += columns @ free
+                table[rows, -1] -= columns @ offset
         groups = [group & fit.around.scene.kept for group in parts.groups or (parts.deciding,)]
         grams = tuple(table[group].T @ table[group] for group in groups)
         # of links and frames no motion tells everything
         ridge = np.concatenate([np.zeros(0), *(np.full(free.shape[1], free.shape[1] > 2) for _, free in ways)])
         total = np.sum(grams, axis=0)
-        parted = np.array([_solved(total - own, ridge) for own in grams] if len(grams) > 1 else [])
-        bent = _bent(fit, some, groups) if len(grams) > 1 else {}
-        return cls(tuple(some), ways, places, _solved(total, ridge), parted, bent, grams, ridge)
+        parted = np.array([_solved(total - gram, ridge) for gram in grams] if len(grams) > 1 else [])
+        bent = _bent(fit, members, groups) if len(grams) > 1 else {}
+        return cls(tuple(members), ways, places, _solved(total, ridge), parted, bent, grams, ridge)
 
     def sizes(self) -> dict[int, Array]:
         """By number of the term, of all its columns."""
         return {
-            one.number: offset + free @ self.whole[place]
-            for one, (offset, free), place in zip(self.members, self.ways, self.places, strict=True)
+            member.number: offset + free @ self.whole[place]
+            for member, (offset, free), place in zip(self.members, self.ways, self.places, strict=True)
         }
 
     def covariances(self) -> dict[int, Array]:
         """The posterior's, which counts departures, or the spread between the groups of runs where that is larger."""
-        found = {}
-        for one, place in zip(self.members, self.places, strict=True):
-            covariance = one.covariance.copy()
-            spread = jackknife_variance(self.bent[one.number] if one.number in self.bent else self.parted[..., place])
+        by_number = {}
+        for member, place in zip(self.members, self.places, strict=True):
+            covariance = member.covariance.copy()
+            spread = jackknife_variance(self.bent[member.number] if member.number in self.bent else self.parted[..., place])
             for k, variance in enumerate(spread.tolist()):
                 factor = math.sqrt(max(1.0, variance / max(covariance[k, k], 1e-300)))
                 covariance[k, :] *= factor
                 covariance[:, k] *= factor
-            found[one.number] = covariance
-        return found
+            by_number[member.number] = covariance
+        return by_number
 
     def stated(self) -> dict[int, Array]:
         """`covariances`, with how far the file's values and the posterior's are apart: as poses have it.
@@ -116,30 +116,30 @@ class _Laws:
         Where what the file has departs from its laws, neither of the two knows by how much it took the part of what is named:
         the posterior gives departures what they may be, the file's laws take all that is left.
         """
-        found, sizes = self.covariances(), self.sizes()
-        for one in self.members:
-            apart = sizes[one.number][: one.term.laws] - one.size[: one.term.laws]
-            found[one.number][: len(apart), : len(apart)] += np.outer(apart, apart)
-        return found
+        stated, sizes = self.covariances(), self.sizes()
+        for member in self.members:
+            apart = sizes[member.number][: member.term.laws] - member.size[: member.term.laws]
+            stated[member.number][: len(apart), : len(apart)] += np.outer(apart, apart)
+        return stated
 
     def against(self) -> dict[EffectName, str]:
         """The name that stands least, if one does not, and why."""
         covariance = self.covariances()
         worst: dict[EffectName, tuple[float, str]] = {}
-        for one, place in zip(self.members, self.places, strict=True):
-            if not _is_listed(one) or place.start == place.stop:
+        for member, place in zip(self.members, self.places, strict=True):
+            if not _is_listed(member) or place.start == place.stop:
                 continue
-            own, sd = self.whole[place], np.sqrt(np.diag(covariance[one.number])[: place.stop - place.start])
-            far = float(np.linalg.norm(own / np.maximum(sd, 1e-300)))
-            if (one.term.is_positive and own[0] < one.term.least) or far < INTERVAL_sd:
-                worst[_name(one)] = (far if own[0] > 0.0 else -far, "may as well be none, identified with what else is named")
+            size, sd = self.whole[place], np.sqrt(np.diag(covariance[member.number])[: place.stop - place.start])
+            far = float(np.linalg.norm(size / np.maximum(sd, 1e-300)))
+            if (member.term.is_positive and size[0] < member.term.least) or far < INTERVAL_sd:
+                worst[_name(member)] = (far if size[0] > 0.0 else -far, "may as well be none, identified with what else is named")
         if worst:
             name = min(worst, key=lambda key: worst[key][0])
             return {name: worst[name][1]}
         missed = self._missed(slice(0, 0))
-        for one, place in zip(self.members, self.places, strict=True):
-            if _is_listed(one) and place.start < place.stop and self._missed(place) <= missed:
-                return {_name(one): "is not needed: without it the runs are predicted as well"}
+        for member, place in zip(self.members, self.places, strict=True):
+            if _is_listed(member) and place.start < place.stop and self._missed(place) <= missed:
+                return {_name(member): "is not needed: without it the runs are predicted as well"}
         return {}
 
     def _missed(self, drop: slice) -> float:
@@ -148,26 +148,26 @@ class _Laws:
             return math.inf if drop.stop > drop.start else 0.0
         keep = np.delete(np.arange(len(self.whole) + 1), np.arange(drop.start, drop.stop))
         total, missed = np.sum(self.grams, axis=0), 0.0
-        for own in self.grams:
+        for gram in self.grams:
             across = np.ix_(keep, keep)
-            size = np.append(-_solved((total - own)[across], self.ridge[keep[:-1]]), 1.0)
-            missed += float(size @ own[across] @ size)
+            size = np.append(-_solved((total - gram)[across], self.ridge[keep[:-1]]), 1.0)
+            missed += float(size @ gram[across] @ size)
         return missed
 
 
-def _bent(fit: SeriesFit, some: Sequence[Member], groups: Sequence[Picked]) -> dict[int, Array]:
+def _bent(fit: SeriesFit, members: Sequence[Member], groups: Sequence[Picked]) -> dict[int, Array]:
     """Coefficients of laws whose response bends, as the posterior has them without one group of runs in turn."""
-    curved = {one.number for one in some if one.term.curve is not None}
-    found: dict[int, Array] = {}
+    curved = {member.number for member in members if member.term.curve is not None}
+    by_number: dict[int, Array] = {}
     if not curved:
-        return found
+        return by_number
     parted, first = without_each(fit, groups), fit.linear.first
     for number in fit.numbers:
         count = fit.linear.terms[number].count
         if number in curved:
-            found[number] = parted[:, first : first + count]
+            by_number[number] = parted[:, first : first + count]
         first += count
-    return found
+    return by_number
 
 
 def jackknife_variance(parted: Array) -> Array:
@@ -178,14 +178,14 @@ def jackknife_variance(parted: Array) -> Array:
     return np.asarray((groups - 1) * np.var(parted, axis=0))
 
 
-def _is_listed(one: Member) -> bool:
+def _is_listed(member: Member) -> bool:
     """Whether it is an effect, and nothing of the sensors."""
-    return isinstance(one.term.key, EffectName) and one.term.key.effect in EFFECTS
+    return isinstance(member.term.key, EffectName) and member.term.key.effect in EFFECTS
 
 
-def _name(one: Member) -> EffectName:
-    assert isinstance(one.term.key, EffectName)
-    return one.term.key
+def _name(member: Member) -> EffectName:
+    assert isinstance(member.term.key, EffectName)
+    return member.term.key
 
 
 def _solved(gram: Array, ridge: Array) -> Array:
@@ -195,30 +195,30 @@ def _solved(gram: Array, ridge: Array) -> Array:
     return np.asarray(scale * np.linalg.lstsq(scale[:, None] * inner * scale, scale * gram[:-1, -1], rcond=1e-10)[0])
 
 
-def _ways(one: Member) -> tuple[Array, Array]:
+def _ways(member: Member) -> tuple[Array, Array]:
     """A member's coefficients without departures as an offset (c,) and directions (c, f) that are free.
 
     A law whose response bends stays as large as the posterior has it; what turns with another's size keeps its share.
     """
-    size = one.size.copy()
-    size[one.term.laws : one.term.laws + one.term.departures] = 0.0
-    if one.term.curve is not None:
+    size = member.size.copy()
+    size[member.term.laws : member.term.laws + member.term.departures] = 0.0
+    if member.term.curve is not None:
         return size, np.zeros((len(size), 0))
-    if one.term.laws == 1 and size[0]:
+    if member.term.laws == 1 and size[0]:
         return np.zeros(len(size)), size[:, None] / size[0]
-    return np.zeros(len(size)), np.eye(len(size))[:, : one.term.laws]
+    return np.zeros(len(size)), np.eye(len(size))[:, : member.term.laws]
 
 
 def in_best_forms(rows: ResidualRows, laws: Sequence[Law], deciding: Picked) -> list[Law]:
     """Each law in the form that leaves least of the rows that decide: arm.toml does not say in which of them a part keeps it."""
     model = list(laws)
     for place, law in enumerate(laws):
-        kept = model.copy()
-        least = float(np.linalg.norm(rows.residual(kept)[deciding])) if other_forms(law) else 0.0
-        for other in other_forms(law):
-            kept[place] = other
-            if (left := float(np.linalg.norm(rows.residual(kept)[deciding]))) < least:
-                least, model[place] = left, other
+        candidate = model.copy()
+        least = float(np.linalg.norm(rows.residual(candidate)[deciding])) if other_forms(law) else 0.0
+        for form in other_forms(law):
+            candidate[place] = form
+            if (remaining := float(np.linalg.norm(rows.residual(candidate)[deciding]))) < least:
+                least, model[place] = remaining, form
     return model
 
 

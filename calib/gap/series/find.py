@@ -47,14 +47,14 @@ def find(arm: Arm, log: Log, advance: Advance | None = None, candidates: Collect
 
 
 def examine(
-    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None, told: Told | None = None
+    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None, prior: Told | None = None
 ) -> DynamicOutcome:
-    """`find`, with what a report shows beside the finding; `told`: what other recordings of the arm tell of its effects."""
-    return decided(arm, log, advance, candidates, told).outcome()
+    """`find`, with what a report shows beside the finding; `prior`: what other recordings of the arm tell of its effects."""
+    return decided(arm, log, advance, candidates, prior).outcome()
 
 
 def decided(
-    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None, told: Told | None = None
+    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None, prior: Told | None = None
 ) -> Examined:
     """What is decided about a log, before any file is evaluated on it."""
     progress = _rising(advance or quiet)
@@ -63,7 +63,7 @@ def decided(
     rows, known = _rows(Physics(arm, recording), recording, known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
     warnings += map(str, ripples(recording, rows.physics.gear_ratios))
-    parts, scene = split(recording, rows.table), SeriesScene(rows, known, told and told.beyond(arm))
+    parts, scene = split(recording, rows.table), SeriesScene(rows, known, prior and prior.beyond(arm))
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.kept)
@@ -78,12 +78,12 @@ def _told(fit: SeriesFit, verdict: SeriesVerdict, arm: Arm) -> Told:
     """What these runs alone tell, of totals; departures that look like a law itself leave its size so much less sure."""
     open_ = {name for names in verdict.ambiguous for name in names}
     withdrawn = fit.names - verdict.laws.keys() - open_
-    own = Told.by(fit.evidence, fit.best, SHARED, fit.around.scene.told, withdrawn)
-    for one in members(fit):
-        if isinstance(one.term.key, EffectName) and one.term.key in own.places:
-            laws = slice(0, one.term.laws)
-            own = own.widened(one.term.key, one.alike[laws, laws] * one.term.size**2)
-    return own.beyond(arm, -1.0)
+    posterior = Told.by(fit.evidence, fit.best, SHARED, fit.around.scene.told, withdrawn)
+    for member in members(fit):
+        if isinstance(member.term.key, EffectName) and member.term.key in posterior.places:
+            laws = slice(0, member.term.laws)
+            posterior = posterior.widened(member.term.key, member.alike[laws, laws] * member.term.size**2)
+    return posterior.beyond(arm, -1.0)
 
 
 def _rows(physics: Physics, recording: RunSet, known: Sequence[Law]) -> tuple[ResidualRows, tuple[Law, ...]]:
@@ -129,11 +129,11 @@ class Examined:
     def outcome(self, file: Arm | None = None) -> DynamicOutcome:
         """With the gap that a file leaves on the runs that were used for nothing else; by default that of the log's own names."""
         rows, verdict, recording = self.rows, self.verdict, self.rows.recording
-        before, found = rows.residual(self.known), self.finding
-        own = read_back(updated_arm(self.arm, as_totals(self.arm, found))) if file is None else file
-        told = laws_of(rows, own, self.parts.deciding)
-        told |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
-        sensors = tuple(one.law(size) for one, size in verdict.corrected if one.law is not None)
+        before, finding = rows.residual(self.known), self.finding
+        arm = read_back(updated_arm(self.arm, as_totals(self.arm, finding))) if file is None else file
+        stated = laws_of(rows, arm, self.parts.deciding)
+        stated |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
+        sensors = tuple(term.law(size) for term, size in verdict.corrected if term.law is not None)
         sensed = seen_by_sensors(verdict, len(before))
 
         def left_by(laws: Mapping[EffectName, Law]) -> Array:
@@ -141,18 +141,18 @@ class Examined:
 
         # the given laws, with one name after the other as the file has it
         laws, staged = {law.name: law for law in self.known}, []
-        for one in found.effects:
-            laws.pop(one.name, None)
-            laws |= {name: law for name, law in told.items() if name == one.name}
-            staged.append(dataclasses.replace(one, gap_after=gap(left_by(laws), rows.table, self.parts.reporting)))
-        laws = laws if file is None else told
+        for effect in finding.effects:
+            laws.pop(effect.name, None)
+            laws |= {name: law for name, law in stated.items() if name == effect.name}
+            staged.append(dataclasses.replace(effect, gap_after=gap(left_by(laws), rows.table, self.parts.reporting)))
+        laws = laws if file is None else stated
         after = left_by(laws)
         moved = motion_gaps(rows.physics, self.known, tuple(laws.values()), self.parts.report_runs)
         finding = dataclasses.replace(
-            found,
-            noise_floor={**found.noise_floor, **in_rad(moved, "floor_rad")},
+            finding,
+            noise_floor={**finding.noise_floor, **in_rad(moved, "floor_rad")},
             gap_after=gap(after, rows.table, self.parts.reporting),
-            before_si={**found.before_si, **in_rad(moved, "before_rad")},
+            before_si={**finding.before_si, **in_rad(moved, "before_rad")},
             after_si={**in_si(after, rows.table, self.parts.reporting, self.arm), **in_rad(moved, "after_rad")},
             effects=tuple(staged),
         )
@@ -166,7 +166,7 @@ class Examined:
             tuple(run.name for run in recording.runs),
             rows.physics,
             (*laws.values(), *sensors),
-            drawn_laws(verdict.fit, [one.name for one in finding.effects]),
+            drawn_laws(verdict.fit, [effect.name for effect in finding.effects]),
             self,
         )
 
@@ -226,9 +226,9 @@ def open_questions(recording: RunSet, verdict: SeriesVerdict) -> tuple[OpenQuest
     ]
     rest = [
         OpenQuestion(
-            f"What causes the residual in {one.where}?", f"Record {_advice(recording, one.where.startswith('the tip'))}."
+            f"What causes the residual in {part.where}?", f"Record {_advice(recording, part.where.startswith('the tip'))}."
         )
-        for one in verdict.remainder
+        for part in verdict.remainder
     ]
     return (*sets, *rest)
 
@@ -285,8 +285,8 @@ def ripples(recording: RunSet, gear_ratios: Sequence[float]) -> Iterator[Ripple]
     if not recording.has_current:
         return
     for j, gear_ratio in enumerate(gear_ratios):
-        if (found := _ripple(recording, j, gear_ratio)) is not None:
-            yield found
+        if (ripple := _ripple(recording, j, gear_ratio)) is not None:
+            yield ripple
 
 
 def _ripple(recording: RunSet, j: int, gear_ratio: float) -> Ripple | None:
@@ -306,9 +306,9 @@ def _ripple(recording: RunSet, j: int, gear_ratio: float) -> Ripple | None:
             continue
         waves = np.column_stack((np.sin(order * motor), np.cos(order * motor)))
         size = np.linalg.lstsq(waves[seen & is_fitted], high[seen & is_fitted], rcond=None)[0]
-        other = high[seen & ~is_fitted]
-        left = other - waves[seen & ~is_fitted] @ size
-        share = float(other @ other - left @ left) / whole if whole > 0.0 else 0.0
+        held_out = high[seen & ~is_fitted]
+        residual = held_out - waves[seen & ~is_fitted] @ size
+        share = float(held_out @ held_out - residual @ residual) / whole if whole > 0.0 else 0.0
         if share > REMAINS and (best is None or share > best.share):
             middle = float(np.median(order * rate_Hz[seen]))
             slow = 2.0 * np.pi * band_Hz / (CLEAR * order * gear_ratio)

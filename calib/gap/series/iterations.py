@@ -65,7 +65,7 @@ class Validated:
                 for series, thin in zip(scene.series, scene.thin, strict=True)
             ]
         )
-        errors = np.array([2.0 * np.log(one.scale * one.sd[-1]) for one in noises])
+        errors = np.array([2.0 * np.log(noise.scale * noise.sd[-1]) for noise in noises])
         missed = np.sum(np.where(rows > 0, rows * errors, 0.0), axis=0) / np.maximum(rows.sum(axis=0), 1)
         return cls(fit, tuple(noises), missed, rows.sum(axis=0) / rows.sum(), scene.kept)
 
@@ -88,27 +88,27 @@ def fitted(
     scene: SeriesScene, known: Sequence[Law], split: RowSplit, names: Collection[str] | None, advance: Advance
 ) -> SeriesFit:
     """The last fit that predicts recordings no worse than those before it."""
-    around = OperatingPoint.of(scene, known, {})
+    point = OperatingPoint.of(scene, known, {})
     last: Validated | None = None
     starts: list[frozenset[Key]] = []
     noises = [Noise.white(len(scene.recording.runs)) for _ in scene.cells]
     first: list[SeriesTerm] = []
-    blocks = list(blocks_of(around))
+    blocks = list(blocks_of(point))
 
-    def linearised(point: OperatingPoint) -> SeriesLinear:
-        terms = [*series_terms(point, names, first), *blocks]
-        return SeriesLinear.around(point, terms, tuple(nuisances(point, terms)))
+    def linearised(operating_point: OperatingPoint) -> SeriesLinear:
+        terms = [*series_terms(operating_point, names, first), *blocks]
+        return SeriesLinear.around(operating_point, terms, tuple(nuisances(operating_point, terms)))
 
     seen: set[frozenset[Key]] = set()
     while True:
         to_go = 0.84 * (2.0 / 3.0) ** len(seen)
         advance("what every effect would do", 0.94 - to_go)
-        linear = linearised(around)
+        linear = linearised(point)
         first = first or list(linear.terms)
         advance("weighing effects", 0.94 - 0.88 * to_go)
-        judged = Validated.of(weighed(around, linear, noises, split, starts), split)
+        judged = Validated.of(weighed(point, linear, noises, split, starts), split)
         if seen or judged.fit.best.kappa > UNTOLD:
-            again = Validated.of(weighed(around, linear, judged.noises, split, starts), split)
+            again = Validated.of(weighed(point, linear, judged.noises, split, starts), split)
             judged = again.unless_worse_than(judged, is_remeasured=True)
         fit, noises = judged.fit, list(judged.noises)
         last = judged.unless_worse_than(last)
@@ -119,20 +119,20 @@ def fitted(
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
         advance("settling what bends", 0.94 - 0.69 * to_go)
         after = settled(fit, split)
-        if np.linalg.norm(remains(after, fit)) > np.linalg.norm(remains(around, fit)):
+        if np.linalg.norm(remains(after, fit)) > np.linalg.norm(remains(point, fit)):
             break  # no better point of linearisation
-        around = after
+        point = after
     assert last is not None  # the first is taken
     scene.keep(last.kept)
     advance("rivals of what was found", 0.94)
     return against_rivals(last.fit, split, linearised)
 
 
-def remains(around: OperatingPoint, fit: SeriesFit) -> Array:
+def remains(point: OperatingPoint, fit: SeriesFit) -> Array:
     """What a model leaves of the rows that decide, each cell by its noise, (thin rows,); blocks are in no model."""
-    thin = zip(around.scene.thinned, around.scene.cells, strict=True)
-    left = np.concatenate([one.of(around.residual[cell.rows]) for one, cell in thin])
-    return np.asarray(fit.linear.whitened(left[:, None], fit.noises)[fit.rows, 0])
+    thin = zip(point.scene.thinned, point.scene.cells, strict=True)
+    residual = np.concatenate([thinned.of(point.residual[cell.rows]) for thinned, cell in thin])
+    return np.asarray(fit.linear.whitened(residual[:, None], fit.noises)[fit.rows, 0])
 
 
 def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
@@ -143,52 +143,52 @@ def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
         scene.keep(scene.rows.resting((*known, *laws.values())))
         return OperatingPoint.of(scene, known, laws)
 
-    around, settling = at(fit.laws()), Settling(FITS_MOST)
-    while settling.goes_on and not all(law.form.is_straight for law in around.found.values()):
-        kept = scene.kept
-        further = at(_refitted(fit, around, split))
-        before, after = remains(around, fit), remains(further, fit)
+    point, settling = at(fit.laws()), Settling(FITS_MOST)
+    while settling.goes_on and not all(law.form.is_straight for law in point.found.values()):
+        usable = scene.kept
+        further = at(_refitted(fit, point, split))
+        before, after = remains(point, fit), remains(further, fit)
         # what a play does to the rows bends so much that a refit may lead away
         if after @ after <= before @ before and settling.takes(float(np.linalg.norm(after - before)), SETTLED_sd):
-            around = further
+            point = further
         else:
-            scene.keep(kept)
+            scene.keep(usable)
             break
-    return around
+    return point
 
 
-def _refitted(fit: SeriesFit, around: OperatingPoint, split: RowSplit) -> dict[Key, Law]:
+def _refitted(fit: SeriesFit, point: OperatingPoint, split: RowSplit) -> dict[Key, Law]:
     """The laws of a model one step further."""
-    scene, laws = around.scene, around.found
+    scene, laws = point.scene, point.found
     blocks = [fit.linear.terms[k] for k in fit.numbers if fit.linear.terms[k].law is None]
-    terms = [one for one in series_terms(around, keys=laws.keys()) if one.now is not None]
-    linear = SeriesLinear.around(around, [*terms, *blocks])
+    terms = [term for term in series_terms(point, keys=laws.keys()) if term.now is not None]
+    linear = SeriesLinear.around(point, [*terms, *blocks])
     gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.kept))
-    sd = np.concatenate([_usual(one) for one in linear.terms])
+    sd = np.concatenate([_usual(term) for term in linear.terms])
     inner = np.eye(len(sd)) + sd[:, None] * (gram.tip + gram.current) * sd
     covariance = sd[:, None] * np.linalg.inv(inner) * sd
     size, first = covariance @ (gram.pull + gram.current_pull), 0
     moved = dict(laws)
-    for one in terms:
-        place = slice(first, first + one.count)
-        own = size[place]
-        first += one.count
-        if one.law is None or not isinstance(one.key, EffectName):
+    for term in terms:
+        place = slice(first, first + term.count)
+        coefficients = size[place]
+        first += term.count
+        if term.law is None or not isinstance(term.key, EffectName):
             continue
-        if one.curve is not None:
-            own, _ = one.curve.held(own, covariance[place, place])
-        if one.is_positive and own[0] <= 0.0:
+        if term.curve is not None:
+            coefficients, _ = term.curve.held(coefficients, covariance[place, place])
+        if term.is_positive and coefficients[0] <= 0.0:
             continue
-        moved[one.key] = one.law(own).bounded()
+        moved[term.key] = term.law(coefficients).bounded()
     return moved
 
 
-def _usual(one: SeriesTerm) -> Array:
+def _usual(term: SeriesTerm) -> Array:
     """Standard deviations of a term that is surely there: of a large size and of the usual roughness."""
-    if not one.is_name:
-        return np.asarray(one.scales()[0][-1])
-    rest = one.count - one.laws - one.departures
-    return np.repeat((SIZE_LEVELS[-1], DEPARTURES[2], 1.0), (one.laws, one.departures, rest))
+    if not term.is_name:
+        return np.asarray(term.scales()[0][-1])
+    rest = term.count - term.laws - term.departures
+    return np.repeat((SIZE_LEVELS[-1], DEPARTURES[2], 1.0), (term.laws, term.departures, rest))
 
 
 # Names that explain nearly the same rows, compared each at the operating point of its own.
@@ -204,24 +204,24 @@ def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[Operati
     near: list[tuple[EffectName, EffectName]] = []
     tried: set[frozenset[EffectName]] = set()
     for _ in range(RIVALS_MOST):
-        open_ = (one for one in rivals(fit) if frozenset(one[:2]) not in tried)
-        if (found := next(open_, None)) is None:
+        open_ = (contest for contest in rivals(fit) if frozenset(contest[:2]) not in tried)
+        if (contest := next(open_, None)) is None:
             break
-        name, rival, members = found
+        name, rival, members = contest
         tried.add(frozenset((name, rival)))
-        kept = scene.kept
-        around = settled(_with(fit, members), split)
+        usable = scene.kept
+        point = settled(_with(fit, members), split)
         keys = frozenset(fit.linear.terms[number].key for number, _ in members.members)
-        other = weighed(around, linearise(around), fit.noises, split, [keys])
-        rows = fit.rows & other.rows
-        lead = _log(fit, rows) - _log(other, rows)
-        if rival not in other.names or name in other.names or lead >= MARGIN:
-            scene.keep(kept)
+        alternative = weighed(point, linearise(point), fit.noises, split, [keys])
+        rows = fit.rows & alternative.rows
+        lead = _log(fit, rows) - _log(alternative, rows)
+        if rival not in alternative.names or name in alternative.names or lead >= MARGIN:
+            scene.keep(usable)
         elif lead > 0.0:
             near.append((name, rival))
-            scene.keep(kept)
+            scene.keep(usable)
         else:
-            fit = other
+            fit = alternative
             near += [(rival, name)] if lead > -MARGIN else []
     # of pairs whose name has made room for another rival nothing is left to say
     still = [(name, rival) for name, rival in near if name in fit.decision.names]
@@ -236,14 +236,14 @@ def rivals(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
         if name not in fit.decision.names or not isinstance(name, EffectName):
             continue
         seen: set[EffectName] = set()
-        for one in fit.found:
-            if one.log < best.log - max(REMAINS * gain, MARGIN):
+        for candidate in fit.found:
+            if candidate.log < best.log - max(REMAINS * gain, MARGIN):
                 break
-            own = {terms[k].key for k, _ in one.members}
-            new = [key for key in own - fit.names if isinstance(key, EffectName)]
-            if name not in own and len(new) == 1 and new[0] not in seen:
+            keys = {terms[k].key for k, _ in candidate.members}
+            new = [key for key in keys - fit.names if isinstance(key, EffectName)]
+            if name not in keys and len(new) == 1 and new[0] not in seen:
                 seen.add(new[0])
-                yield name, new[0], one
+                yield name, new[0], candidate
 
 
 def _with(fit: SeriesFit, members: Weighed) -> SeriesFit:
@@ -266,41 +266,41 @@ KNOWN_DEPARTURE = DEPARTURES[2]
 NUISANCES = Block(0, "nuisances")
 
 
-def nuisances(around: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
+def nuisances(point: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
     """Terms of prior standard deviation one.
 
     Of a gear that gives way a little only what the tip shows: what its link does to the currents follows the noise of the
     measured accelerations, which the residual has, too.
     """
-    unknown = _unknown_rotors(around.scene)
+    unknown = _unknown_rotors(point.scene)
     variants: dict[tuple[Key, str], list[SeriesTerm]] = {}
-    for one in terms:
-        variants.setdefault((one.key, one.words), []).append(one)
-    for some in variants.values():
-        one = some[len(some) // 2]
-        is_small = isinstance(one.key, EffectName) and not comes_round(one.key.effect)
-        if is_small or (isinstance(one.key, Block) and one.count == 1):
-            own = {
-                cell: columns[:, : one.laws]
-                for cell, columns in one.response.items()
-                if not (isinstance(one.key, EffectName) and is_gear(one.key.effect)) or around.scene.cells[cell].joint < 0
+    for term in terms:
+        variants.setdefault((term.key, term.words), []).append(term)
+    for alternatives in variants.values():
+        term = alternatives[len(alternatives) // 2]
+        is_small = isinstance(term.key, EffectName) and not comes_round(term.key.effect)
+        if is_small or (isinstance(term.key, Block) and term.count == 1):
+            response = {
+                cell: columns[:, : term.laws]
+                for cell, columns in term.response.items()
+                if not (isinstance(term.key, EffectName) and is_gear(term.key.effect)) or point.scene.cells[cell].joint < 0
             }
-            effect = one.key.effect if isinstance(one.key, EffectName) else one.key.variable
-            if own and one.key in unknown:
-                most = float(around.scene.given_Nm[unknown[one.key]])
-                yield _nuisance(one.words, scaled(own, most / torque_size(around.scene, unknown[one.key])), 1)
-            elif own:
-                yield _nuisance(str(one.key), scaled(own, IMMATERIAL / usual(effect)), one.laws)
-    for law in around.known:
-        yield from _departing(around, law)
+            effect = term.key.effect if isinstance(term.key, EffectName) else term.key.variable
+            if response and term.key in unknown:
+                most = float(point.scene.given_Nm[unknown[term.key]])
+                yield _nuisance(term.words, scaled(response, most / torque_size(point.scene, unknown[term.key])), 1)
+            elif response:
+                yield _nuisance(str(term.key), scaled(response, IMMATERIAL / usual(effect)), term.laws)
+    for law in point.known:
+        yield from _departing(point, law)
 
 
 def unknown_rotors(fit: SeriesFit) -> Iterator[str]:
     """Said of joints whose motors surely have an inertia that the file does not know."""
     scene, (size, covariance), place = fit.around.scene, refitted(fit, fit.numbers), 0
-    words = {one.words: one.key.joint for one in fit.linear.terms if one.key in _unknown_rotors(scene)}
-    for one in fit.linear.nuisances:
-        if (joint := words.get(one.words)) and size[place] > SURE_sd * math.sqrt(covariance[place, place]):
+    words = {nuisance.words: nuisance.key.joint for nuisance in fit.linear.terms if nuisance.key in _unknown_rotors(scene)}
+    for nuisance in fit.linear.nuisances:
+        if (joint := words.get(nuisance.words)) and size[place] > SURE_sd * math.sqrt(covariance[place, place]):
             acceleration = scene.whole.acceleration[:, joint - 1]
             most = float(scene.given_Nm[joint - 1]) / float(np.sqrt(np.mean(acceleration**2)))
             value = most * float(size[place]) / scene.arm.drives[joint - 1].gear_ratio ** 2
@@ -309,21 +309,21 @@ def unknown_rotors(fit: SeriesFit) -> Iterator[str]:
                 f"drive {joint}: arm.toml knows no rotor_inertia_kg_m2, and the motor takes more torque while it accelerates, as"
                 f" of some {value:.2g} kg m2: it is in no name, and stays in the gap until arm.toml has it"
             )
-        place += one.count
+        place += nuisance.count
 
 
 def _unknown_rotors(scene: SeriesScene) -> dict[Key, int]:
     """Blocks that stand for rotors which the file does not know, with their joint (0-based)."""
     drives = scene.arm.drives
-    return {Block(one.joint, ACCELERATION): one.joint - 1 for one in drives if not one.rotor_inertia_kg_m2}
+    return {Block(drive.joint, ACCELERATION): drive.joint - 1 for drive in drives if not drive.rotor_inertia_kg_m2}
 
 
-def _departing(around: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
+def _departing(point: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
     series = series_of(law.name.effect)
     if law.form.acts != "motor" or series is None or law.name.joint is None:
         return
-    column = around.scene.split(around.scene.columns.friction_slope(law)[:, None])
-    bent, _ = departures(around.scene, series.departs, law.name.joint - 1, column)
+    column = point.scene.split(point.scene.columns.friction_slope(law)[:, None])
+    bent, _ = departures(point.scene, series.departs, law.name.joint - 1, column)
     if bent:
         yield _nuisance(f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1])
 

@@ -45,30 +45,30 @@ class SeriesLinear:
     places: tuple[Places, ...]  # of each term's columns
 
     @classmethod
-    def around(cls, around: OperatingPoint, terms: Sequence[SeriesTerm], nuisances: Sequence[SeriesTerm] = ()) -> SeriesLinear:
+    def around(cls, point: OperatingPoint, terms: Sequence[SeriesTerm], nuisances: Sequence[SeriesTerm] = ()) -> SeriesLinear:
         """Terms of the model are added to what it leaves, at what they are there."""
-        y = -around.residual.copy()
-        for one in terms:
-            if one.now is not None and one.key in around.found:
-                for number, own in one.response.items():
-                    y[around.scene.cells[number].rows] += own[:, : len(one.now)] @ one.now
+        y = -point.residual.copy()
+        for term in terms:
+            if term.now is not None and term.key in point.found:
+                for number, response in term.response.items():
+                    y[point.scene.cells[number].rows] += response[:, : len(term.now)] @ term.now
         whole = (*nuisances, *terms)
-        ends = np.cumsum([0, *(one.count for one in whole)]).tolist()
+        ends = np.cumsum([0, *(term.count for term in whole)]).tolist()
         places = [np.arange(first, end) for first, end in itertools.pairwise(ends)]
         stacks = []
-        for k, (cell, thin) in enumerate(zip(around.scene.cells, around.scene.thinned, strict=True)):
-            moving = [number for number, one in enumerate(whole) if k in one.response]
+        for k, (cell, thin) in enumerate(zip(point.scene.cells, point.scene.thinned, strict=True)):
+            moving = [number for number, term in enumerate(whole) if k in term.response]
             parts = (y[cell.rows][:, None], *(whole[number].response[k] for number in moving))
             columns = np.hstack([thin.of(part) for part in parts])
             stacks.append(Stack(columns, np.concatenate([np.zeros(0, np.intp), *(places[number] for number in moving)])))
         thin_y = np.concatenate([stack.columns[:, 0] for stack in stacks])
         own_places = tuple(places[len(nuisances) :])
-        return cls(around.scene, tuple(terms), tuple(nuisances), y, thin_y, tuple(stacks), own_places)
+        return cls(point.scene, tuple(terms), tuple(nuisances), y, thin_y, tuple(stacks), own_places)
 
     @property
     def first(self) -> int:
         """How many columns nuisances have."""
-        return sum(one.count for one in self.nuisances)
+        return sum(term.count for term in self.nuisances)
 
     def at(self, numbers: Sequence[int]) -> Places:
         """Places of the columns of terms by number, after the nuisances'."""
@@ -78,8 +78,8 @@ class SeriesLinear:
         """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it, and what
         other recordings tell.
         """
-        total = self.first + sum(one.count for one in self.terms)
-        seen, pull, left, count = np.zeros((total, total)), np.zeros(total), 0.0, 0
+        total = self.first + sum(term.count for term in self.terms)
+        seen, pull, squares, count = np.zeros((total, total)), np.zeros(total), 0.0, 0
         for k, thin in enumerate(self.scene.thin):
             picked = rows[thin]
             if not picked.any():
@@ -88,28 +88,28 @@ class SeriesLinear:
             inner, at = columns.T @ columns, self.stacks[k].places
             seen[np.ix_(at, at)] = seen[np.ix_(at, at)] + inner[1:, 1:]
             pull[at] += inner[1:, 0]
-            left += float(inner[0, 0])
+            squares += float(inner[0, 0])
             count += int(picked.sum())
-        found = Gram(seen, pull, np.zeros(seen.shape), np.zeros(total), left, float(count))
-        told = self.scene.told
-        return found if told is None else told.beside(found, self.terms, self.places)
+        gram = Gram(seen, pull, np.zeros(seen.shape), np.zeros(total), squares, float(count))
+        prior = self.scene.told
+        return gram if prior is None else prior.beside(gram, self.terms, self.places)
 
     def thin_columns(self, places: Places) -> Array:
         """What some columns do to all thin rows, (thin rows, c)."""
-        found = np.zeros((len(self.thin_y), len(places)))
+        columns = np.zeros((len(self.thin_y), len(places)))
         for rows, stack in zip(self.scene.thin, self.stacks, strict=True):
             _, here, there = np.intersect1d(places, stack.places, return_indices=True)
-            found[rows, here] = stack.columns[:, 1 + there]
-        return found
+            columns[rows, here] = stack.columns[:, 1 + there]
+        return columns
 
     def explained(self, numbers: Sequence[int], size: Array) -> Array:
         """What terms by number and nuisances do to all rows, with coefficients of their columns, (rows,)."""
-        found, first = np.zeros(len(self.y)), 0
-        for one in (*self.nuisances, *(self.terms[number] for number in numbers)):
-            for cell, own in one.response.items():
-                found[self.scene.cells[cell].rows] += own @ size[first : first + one.count]
-            first += one.count
-        return found
+        rows, first = np.zeros(len(self.y)), 0
+        for term in (*self.nuisances, *(self.terms[number] for number in numbers)):
+            for cell, columns in term.response.items():
+                rows[self.scene.cells[cell].rows] += columns @ size[first : first + term.count]
+            first += term.count
+        return rows
 
     def whitened(self, values: Array, noises: Sequence[Noise]) -> Array:
         """Values (thin rows, c), each cell by its own noise."""
@@ -124,13 +124,13 @@ def marginalised(gram: Gram, first: int) -> Gram:
     if not first:
         return gram
     root = np.linalg.cholesky(np.eye(first) + gram.tip[:first, :first])
-    taken = solve_triangular(root, np.column_stack((gram.tip[:first, first:], gram.pull[:first])), lower=True)
-    inner = taken.T @ taken  # of one array with itself: half the products of any other
+    projected = solve_triangular(root, np.column_stack((gram.tip[:first, first:], gram.pull[:first])), lower=True)
+    inner = projected.T @ projected  # of one array with itself: half the products of any other
     seen = gram.tip[first:, first:] - inner[:-1, :-1]
     pull = gram.pull[first:] - inner[:-1, -1]
-    left = gram.left - float(inner[-1, -1])
+    squares = gram.left - float(inner[-1, -1])
     # what is told of other columns tells nothing of these
-    return Gram(seen, pull, gram.current[first:, first:], gram.current_pull[first:], left, gram.freedom)
+    return Gram(seen, pull, gram.current[first:, first:], gram.current_pull[first:], squares, gram.freedom)
 
 
 def cross_validated(
@@ -146,21 +146,21 @@ def cross_validated(
     rest = np.zeros(len(linear.thin_y))
     grams = [white[g].T @ white[g] for g in groups]
     whole = np.sum(grams, axis=0)
-    for group, own in zip(groups, grams, strict=True):
-        other = whole - own if len(groups) > 1 else whole
-        inner = np.eye(len(sd)) + sd[:, None] * other[:-1, :-1] * sd
-        size = sd * np.linalg.solve(inner, sd * other[:-1, -1]) if len(sd) else np.zeros(0)
+    for group, gram in zip(groups, grams, strict=True):
+        fitted_gram = whole - gram if len(groups) > 1 else whole
+        inner = np.eye(len(sd)) + sd[:, None] * fitted_gram[:-1, :-1] * sd
+        size = sd * np.linalg.solve(inner, sd * fitted_gram[:-1, -1]) if len(sd) else np.zeros(0)
         rest[group] = linear.thin_y[group] - columns[group] @ size
     return rest
 
 
 def noises_of(scene: SeriesScene, rest: Array, rows: Picked) -> list[Noise]:
     """Each cell's noise from what is left on the picked thin rows."""
-    found = []
+    noises = []
     for k, thin in enumerate(scene.thin):
         picked = rows[thin]
-        found.append(fitted(scene.series[k], rest[thin], picked) if picked.any() else Noise.white(len(scene.recording.runs)))
-    return found
+        noises.append(fitted(scene.series[k], rest[thin], picked) if picked.any() else Noise.white(len(scene.recording.runs)))
+    return noises
 
 
 BARRED_MOST = 4  # searches, each without the laws that the one before bent too far
@@ -198,43 +198,43 @@ class SeriesFit:
 
     def laws(self, names: Collection[Key] | None = None) -> dict[Key, Law]:
         """The physics' terms of the best set's effects, at its estimates."""
-        found = {}
-        for number, own in self.evidence.sizes(self.best).items():
-            one = self.linear.terms[number]
-            if one.law is not None and (names is None or one.key in names):
-                found[one.key] = one.law(own).bounded()
-        return found
+        laws = {}
+        for number, coefficients in self.evidence.sizes(self.best).items():
+            term = self.linear.terms[number]
+            if term.law is not None and (names is None or term.key in names):
+                laws[term.key] = term.law(coefficients).bounded()
+        return laws
 
 
 def weighed(
-    around: OperatingPoint, linear: SeriesLinear, noises: Sequence[Noise], split: RowSplit, starts: Sequence[frozenset[Key]]
+    point: OperatingPoint, linear: SeriesLinear, noises: Sequence[Noise], split: RowSplit, starts: Sequence[frozenset[Key]]
 ) -> SeriesFit:
     """The sets of effects around an operating point, weighed on the rows that decide; `starts`: sets to begin with."""
-    rows = around.scene.picked(split.deciding & around.scene.kept)
+    rows = point.scene.picked(split.deciding & point.scene.kept)
     gram = linear.gram(noises, rows)
     evidence = Evidence(marginalised(gram, linear.first), linear.terms, FLOOR_DOUBT)
     barred: set[Key] = set()
     for _ in range(BARRED_MOST):
-        found = MergingSearch(evidence, barred).run(starts)
-        if not (bent := _bent_too_far(evidence, linear, found[0], around)):
+        sets = MergingSearch(evidence, barred).run(starts)
+        if not (bent := _bent_too_far(evidence, linear, sets[0], point)):
             break
         barred |= bent
-    return SeriesFit(around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found, 0.0), rows)
+    return SeriesFit(point, linear, tuple(noises), gram, evidence, tuple(sets), decide(evidence, sets, 0.0), rows)
 
 
-def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, around: OperatingPoint) -> set[Key]:
+def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, point: OperatingPoint) -> set[Key]:
     """Names of a set that depart from their law more than real parts do: another law is behind them.
 
     Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same. How far a law departs
     that the rows follow in no straight line is known around itself alone: elsewhere its departures stand for its bend, too.
     """
-    found = set()
-    for number, own in evidence.sizes(best).items():
-        one = linear.terms[number]
-        is_known = one.curve is None or one.key in around.found
-        if one.is_name and not one.is_common and is_known and one.departed_by(own) > LAW_MOST:
-            found.add(one.key)
-    return found
+    barred = set()
+    for number, coefficients in evidence.sizes(best).items():
+        term = linear.terms[number]
+        is_known = term.curve is None or term.key in point.found
+        if term.is_name and not term.is_common and is_known and term.departed_by(coefficients) > LAW_MOST:
+            barred.add(term.key)
+    return barred
 
 
 def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
@@ -252,21 +252,21 @@ def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:
     scales, across, noise = fit.evidence.scales, np.ix_(at, at), fit.best.kappa**2
     sd = np.concatenate([np.ones(linear.first), *(scales[k][0][h] for k, h in fit.best.members)])
     white = linear.whitened(np.column_stack((linear.thin_columns(at), linear.thin_y)), fit.noises)
-    found = []
+    coefficients = []
     for group in groups:
         rows = white[scene.picked(group & scene.kept)]
-        own = rows.T @ rows
-        seen = (fit.gram.tip[across] - own[:-1, :-1]) / noise + fit.gram.current[across]
-        pull = (fit.gram.pull[at] - own[:-1, -1]) / noise + fit.gram.current_pull[at]
+        gram = rows.T @ rows
+        seen = (fit.gram.tip[across] - gram[:-1, :-1]) / noise + fit.gram.current[across]
+        pull = (fit.gram.pull[at] - gram[:-1, -1]) / noise + fit.gram.current_pull[at]
         inner = np.eye(len(sd)) + sd[:, None] * seen * sd
-        found.append(sd * np.linalg.solve(inner, sd * pull))
-    return np.array(found)
+        coefficients.append(sd * np.linalg.solve(inner, sd * pull))
+    return np.array(coefficients)
 
 
-def left(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
+def residual_of(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
     """What terms of the best set leave of all rows (rows,), refitted beside nuisances, without those of `drop`."""
     linear, (size, _) = fit.linear, refitted(fit, numbers)
-    kept = [np.full(linear.terms[k].count, k not in drop) for k in numbers]
+    factors = [np.full(linear.terms[k].count, k not in drop) for k in numbers]
     size[: linear.first] = np.clip(size[: linear.first], -NUISANCE_MOST, NUISANCE_MOST)
-    size *= np.concatenate([np.ones(linear.first), *kept])
+    size *= np.concatenate([np.ones(linear.first), *factors])
     return np.asarray(linear.y - linear.explained(numbers, size))

@@ -12,7 +12,7 @@ from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.residuals.rows import ChannelRows, RowTable
 from calib.gap.residuals.scene import SeriesTerm
-from calib.gap.series.linear import SeriesFit, left
+from calib.gap.series.linear import SeriesFit, residual_of
 from calib.gap.series.split import Picked
 from calib.gap.signals.motion import MotionGap
 from calib.gap.words import unit_of
@@ -49,7 +49,7 @@ def in_si(residual: Array, table: RowTable, picked: Picked, arm: Arm) -> dict[st
 
 def in_rad(moved: Mapping[str, MotionGap], which: str) -> dict[str, float]:
     """A field of the motions that were simulated from voltages, by channel."""
-    return {channel: float(getattr(one, which)) for channel, one in moved.items()}
+    return {channel: float(getattr(motion, which)) for channel, motion in moved.items()}
 
 
 def _by_channel(table: RowTable, arm: Arm, size: Callable[[ChannelRows], float]) -> dict[str, float]:
@@ -102,37 +102,37 @@ ROWS_LEAST = 60  # of a cell in which a law is drawn
 
 def drawn_laws(fit: SeriesFit, names: Collection[EffectName]) -> tuple[DrawnLaw, ...]:
     """Each of the names over its own variable, in the channel where it does most."""
-    rest, found, scene = left(fit, fit.numbers), {}, fit.around.scene
+    rest, by_name, scene = residual_of(fit, fit.numbers), {}, fit.around.scene
     for number, size in fit.evidence.sizes(fit.best).items():
-        one, laws = fit.linear.terms[number], size * (np.arange(len(size)) < fit.linear.terms[number].laws)
-        done = {k: columns @ laws for k, columns in one.response.items() if len(columns) >= ROWS_LEAST}
-        if one.key in names and isinstance(one.key, EffectName) and done:
+        term, laws = fit.linear.terms[number], size * (np.arange(len(size)) < fit.linear.terms[number].laws)
+        done = {k: columns @ laws for k, columns in term.response.items() if len(columns) >= ROWS_LEAST}
+        if term.key in names and isinstance(term.key, EffectName) and done:
             k = max(done, key=lambda k: float(np.sum(done[k] ** 2)))
-            cell, whole = scene.cells[k], one.response[k] @ size
+            cell, whole = scene.cells[k], term.response[k] @ size
             unit, factor = unit_of(cell.channel)
-            scale, (at, label) = factor * cell.floor, _variable(fit, one, one.key, k)
+            scale, (at, label) = factor * cell.floor, _variable(fit, term, term.key, k)
             data = scale * (whole + rest[cell.rows])
-            found[one.key] = DrawnLaw(one.key, label, unit, at, data, scale * done[k], scale * whole)
-    return tuple(found[name] for name in names if name in found)
+            by_name[term.key] = DrawnLaw(term.key, label, unit, at, data, scale * done[k], scale * whole)
+    return tuple(by_name[name] for name in names if name in by_name)
 
 
-def _variable(fit: SeriesFit, one: SeriesTerm, name: EffectName, k: int) -> tuple[Array, str]:
+def _variable(fit: SeriesFit, term: SeriesTerm, name: EffectName, k: int) -> tuple[Array, str]:
     """The law's own variable at the rows of a cell, and its label."""
     scene = fit.around.scene
     at, joint = scene.beside[k], followed_joint(name.effect, name.joint) or max(scene.cells[k].joint, 0) + 1
-    own = min(joint, at.q.shape[1]) - 1
+    j = min(joint, at.q.shape[1]) - 1
     series = series_of(name.effect)
     match series.over if series is not None else "load":
         case "motor":
-            turn = one.variant * scene.rows.physics.gear_ratios[own] * at.q[:, own]
-            return np.degrees(turn % (2.0 * np.pi)), f"{one.variant:g} times the motor's angle [deg]"
+            turn = term.variant * scene.rows.physics.gear_ratios[j] * at.q[:, j]
+            return np.degrees(turn % (2.0 * np.pi)), f"{term.variant:g} times the motor's angle [deg]"
         case "speed":
-            return at.speed[:, own], f"speed of joint {own + 1} [rad/s]"
+            return at.speed[:, j], f"speed of joint {j + 1} [rad/s]"
         case "angle":
-            return np.degrees(at.q[:, own]), f"q{own + 1} [deg]"
+            return np.degrees(at.q[:, j]), f"q{j + 1} [deg]"
         case "current":
-            return at.current_A[:, own], f"current of joint {own + 1} [A]"
+            return at.current_A[:, j], f"current of joint {j + 1} [A]"
         case "time":
             return at.t_s, "time in the run [s]"
         case _:
-            return at.load_Nm[:, own], f"transmitted torque of joint {own + 1} [N m]"
+            return at.load_Nm[:, j], f"transmitted torque of joint {j + 1} [N m]"

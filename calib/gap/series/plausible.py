@@ -50,15 +50,15 @@ def shown(arm: Arm, recording: RunSet) -> float | None:
     # A motor turns away under its voltage, and its current goes back: what is left of it in the mean over a sample.
     turned = period * windings.torque_per_A**2 / np.diag(windings.inertia_kg_m2) / windings.resistance_ohm
     expected = -np.expm1(-turned) / turned
-    told = []
+    responses = []
     for drive in arm.drives:
         j = drive.joint - 1
-        found = _followed(recording, j, drive.resistance_ohm)
-        if found is not None and found[1] < SURE:
-            told.append(np.array(found) / expected[j])
-    if not told:
+        followed = _followed(recording, j, drive.resistance_ohm)
+        if followed is not None and followed[1] < SURE:
+            responses.append(np.array(followed) / expected[j])
+    if not responses:
         return None
-    shares, deviations = np.array(told).T
+    shares, deviations = np.array(responses).T
     return float(np.average(shares, weights=deviations**-2.0))  # a joint whose voltage is smooth says little
 
 
@@ -66,7 +66,7 @@ def _followed(recording: RunSet, j: int, resistance_ohm: float) -> tuple[float, 
     """Share of a voltage's quick change in the currents that follow it, and its deviation; None where it never changes."""
     period = 1.0 / recording.filters.rate_Hz
     lags = int(np.ceil(LATEST_s / period)) + 2
-    square, pull, own, count = np.zeros((lags + 1, lags + 1)), np.zeros(lags + 1), 0.0, 0
+    square, pull, power, count = np.zeros((lags + 1, lags + 1)), np.zeros(lags + 1), 0.0, 0
     for run in recording.runs:
         current = np.diff(run.current_raw_A[:, j], 3)
         voltage = np.diff(run.voltage_V[:, j] / resistance_ohm, 3)
@@ -75,13 +75,13 @@ def _followed(recording: RunSet, j: int, resistance_ohm: float) -> tuple[float, 
         past, seen = _past(voltage, lags), current[lags:]
         square += past.T @ past
         pull += past.T @ seen
-        own += float(seen @ seen)
+        power += float(seen @ seen)
         count += len(seen)
     if not count or float(np.trace(square)) == 0.0:
         return None
     square += 1e-9 * float(np.trace(square)) * np.eye(lags + 1)
     factors = np.linalg.solve(square, pull)
-    noise = max(own - float(factors @ pull), 0.0) / count
+    noise = max(power - float(factors @ pull), 0.0) / count
     deviation = float(np.sqrt(noise * np.max(np.diag(np.linalg.inv(square)))))
     # A delay that is no whole number of samples divides a change between two of them.
     return float(np.max(factors[:-1] + factors[1:])), max(deviation, 1e-6)
@@ -119,27 +119,27 @@ def plausible(arm: Arm, recording: RunSet) -> RunSet:
     _check_time(recording)
     if all(np.ptp(run.q_raw, axis=0).max() < MOVES_rad for run in recording.runs):
         raise UnusableLogError("log: no joint moves in any run: nothing can be said about its dynamics")
-    said: list[str] = []
-    current = recording.has_current and not _is_silent(recording, "i{}_A", said)
-    voltage = recording.has_voltage and not _is_silent(recording, "u{}_V", said)
+    sentences: list[str] = []
+    current = recording.has_current and not _is_silent(recording, "i{}_A", sentences)
+    voltage = recording.has_voltage and not _is_silent(recording, "u{}_V", sentences)
     is_in_volts = current and voltage and not _wrong_voltage(arm, recording)
-    if is_in_volts and _found(said, _placeholders(arm, recording)):
+    if is_in_volts and _found(sentences, _placeholders(arm, recording)):
         current = voltage = False
     if current:
-        current = not _found(said, _wrong_current(arm, recording))
+        current = not _found(sentences, _wrong_current(arm, recording))
     if voltage and current:
         wrong = _resampled(recording) or _wrong_voltage(arm, recording) or not_held(arm, recording)
-        voltage = not _found(said, wrong)
-    tip = recording.has_tip and not _found(said, _wrong_tip(arm, recording))
+        voltage = not _found(sentences, wrong)
+    tip = recording.has_tip and not _found(sentences, _wrong_tip(arm, recording))
     if not (current or voltage or tip):
-        what = "; ".join(said) or NOTHING
+        what = "; ".join(sentences) or NOTHING
         raise UnusableLogError(f"log: nothing to compare the model with: {what}")
-    return replace(recording, has_current=current, has_voltage=voltage, has_tip=tip, warnings=(*recording.warnings, *said))
+    return replace(recording, has_current=current, has_voltage=voltage, has_tip=tip, warnings=(*recording.warnings, *sentences))
 
 
-def _found(said: list[str], sentence: str) -> bool:
+def _found(sentences: list[str], sentence: str) -> bool:
     if sentence:
-        said.append(sentence)
+        sentences.append(sentence)
     return bool(sentence)
 
 
@@ -161,7 +161,7 @@ def _check_time(recording: RunSet) -> None:
         raise UnusableLogError(f"log: t_s advances by {period:g} s a sample: expected seconds")
 
 
-def _is_silent(recording: RunSet, column: str, said: list[str]) -> bool:
+def _is_silent(recording: RunSet, column: str, sentences: list[str]) -> bool:
     """A sensor whose value never changes while its joint moves; with the driver off, nothing else is expected of it."""
     is_current = column.startswith("i")
     for j in range(recording.runs[0].q.shape[1]):
@@ -175,7 +175,7 @@ def _is_silent(recording: RunSet, column: str, said: list[str]) -> bool:
         driven = [part for part in parts if len(part)]
         if driven and all(np.ptp(part) == 0.0 for part in driven):
             name = column.format(j + 1)
-            said.append(f"{name} is {driven[0][0]:g} throughout while the joint moves: its kind is not used")
+            sentences.append(f"{name} is {driven[0][0]:g} throughout while the joint moves: its kind is not used")
             return True
     return False
 
@@ -230,8 +230,8 @@ def _current_fits(arm: Arm, recording: RunSet) -> dict[int, _Fit]:
             parts.append(filters.rows(columns)[np.abs(filters.rows(v)) > MOVING_rad_s])
         expected, measured, *friction = np.concatenate(parts).T
         beside = np.linalg.qr(np.stack(friction, axis=1))[0]
-        rest = [own - beside @ (beside.T @ own) for own in (expected, measured)]
-        fits[drive.joint] = _fit(*([own] for own in rest))
+        rest = [signal - beside @ (beside.T @ signal) for signal in (expected, measured)]
+        fits[drive.joint] = _fit(*([signal] for signal in rest))
     return fits
 
 
@@ -240,17 +240,17 @@ def _placeholders(arm: Arm, recording: RunSet) -> str:
     off = []
     for drive in arm.drives:
         constant = drive.torque_constant_Nm_A * drive.gear_ratio
-        given, columns = _electrical(recording, drive.joint - 1)
-        if len(given) < FEWEST:
+        voltage_V, columns = _electrical(recording, drive.joint - 1)
+        if len(voltage_V) < FEWEST:
             continue
-        (resistance, back_emf, _), explained = _fitted(given, columns)
-        _, by_file = _fitted(given - constant * columns[:, 1], columns[:, ::2], given)
+        (resistance, back_emf, _), explained = _fitted(voltage_V, columns)
+        _, by_file = _fitted(voltage_V - constant * columns[:, 1], columns[:, ::2], voltage_V)
         if by_file < EXPLAINED < explained and not 1.0 / WITHIN < back_emf / constant < WITHIN:
             off.append((drive, back_emf / drive.gear_ratio, resistance))
     if not off:
         return ""
     drives = ", ".join(str(drive.joint) for drive, _, _ in off)
-    worst, constant, resistance = max(off, key=lambda one: abs(math.log(max(one[1], 1e-9) / one[0].torque_constant_Nm_A)))
+    worst, constant, resistance = max(off, key=lambda entry: abs(math.log(max(entry[1], 1e-9) / entry[0].torque_constant_Nm_A)))
     return (
         f"drives {drives}: torque_constant_Nm_A and resistance_ohm in arm.toml do not fit the voltages (drive {worst.joint}:"
         f" {worst.torque_constant_Nm_A:.3g} and {worst.resistance_ohm:.3g}; the log shows {constant:.3g} and {resistance:.3g}):"
@@ -265,16 +265,16 @@ def _electrical(recording: RunSet, j: int) -> tuple[Array, Array]:
         np.stack((run.current_A[on, j], run.speed[on, j], np.ones(int(on.sum()))), axis=1)
         for run, on in zip(recording.runs, driven, strict=True)
     ]
-    given = [run.voltage_V[on, j] for run, on in zip(recording.runs, driven, strict=True)]
-    return np.concatenate(given), np.concatenate(columns)
+    voltage_V = [run.voltage_V[on, j] for run, on in zip(recording.runs, driven, strict=True)]
+    return np.concatenate(voltage_V), np.concatenate(columns)
 
 
 def _fitted(wanted: Array, columns: Array, of: Array | None = None) -> tuple[Array, float]:
     """Least squares, and the share of the variance of `of` (default: what is fitted) that is explained."""
     size, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
     whole = float(np.var(wanted if of is None else of))
-    left = float(np.var(wanted - columns @ size))
-    return np.asarray(size, dtype=float), 1.0 - left / whole if whole > 0.0 else 0.0
+    remaining = float(np.var(wanted - columns @ size))
+    return np.asarray(size, dtype=float), 1.0 - remaining / whole if whole > 0.0 else 0.0
 
 
 def _wrong_voltage(arm: Arm, recording: RunSet) -> str:
@@ -283,8 +283,8 @@ def _wrong_voltage(arm: Arm, recording: RunSet) -> str:
         j = drive.joint - 1
         K = drive.torque_constant_Nm_A * drive.gear_ratio
         needed = [drive.resistance_ohm * run.current_A[:, j] + K * run.speed[:, j] for run in recording.runs]
-        given = [run.voltage_V[:, j] for run in recording.runs]
-        fit = _fit(needed, given)
+        measured = [run.voltage_V[:, j] for run in recording.runs]
+        fit = _fit(needed, measured)
         name = f"u{drive.joint}_V"
         sentence = _factor_in_words(name, "current and speed need", fit)
         if abs(fit.correlation) > TOGETHER:

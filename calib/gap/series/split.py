@@ -53,16 +53,16 @@ def _report_groups(recording: RunSet, with_rows: set[int]) -> list[int]:
     kinds = [_kind(recording.runs[group[0]]) for group in recording.repeats]
     most = max(1, int(REPORT_SHARE * len(speeds)))
     chosen: list[int] = []
-    for kind in sorted(set(kinds), key=lambda one: (-kinds.count(one), one)):
-        own = [k for k, value in enumerate(kinds) if value == kind and with_rows & {*recording.repeats[k]}]
-        if len(own) < 2 or len(chosen) >= most:
+    for kind in sorted(set(kinds), key=lambda kind: (-kinds.count(kind), kind)):
+        groups = [k for k, value in enumerate(kinds) if value == kind and with_rows & {*recording.repeats[k]}]
+        if len(groups) < 2 or len(chosen) >= most:
             continue
-        own.sort(key=lambda k: (speeds[k], recording.runs[recording.repeats[k][0]].name))
-        if len(own) >= MANY:  # every fourth, from slow to fast
-            chosen += own[1::4]
+        groups.sort(key=lambda k: (speeds[k], recording.runs[recording.repeats[k][0]].name))
+        if len(groups) >= MANY:  # every fourth, from slow to fast
+            chosen += groups[1::4]
             continue
-        middle = own[len(own) // 2]
-        repeated = [k for k in own[1:-1] if len(recording.repeats[k]) > 1]
+        middle = groups[len(groups) // 2]
+        repeated = [k for k in groups[1:-1] if len(recording.repeats[k]) > 1]
         near = min(repeated, key=lambda k: abs(speeds[k] - speeds[middle])) if repeated else middle
         chosen.append(near)
     return chosen or [k for k in range(len(speeds)) if with_rows & {*recording.repeats[k]}][-1:]

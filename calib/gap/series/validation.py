@@ -16,7 +16,7 @@ from calib.gap.posterior.decide import is_exact
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.scene import SeriesTerm
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.linear import SeriesFit, left
+from calib.gap.series.linear import SeriesFit, residual_of
 from calib.gap.series.outcome import gap
 from calib.gap.series.split import Picked
 
@@ -55,22 +55,22 @@ def members(fit: SeriesFit) -> Iterator[Member]:
     """
     evidence, best = fit.evidence, fit.best
     for number in fit.numbers:
-        rest = [one for one in best.members if one[0] != number]
+        rest = [entry for entry in best.members if entry[0] != number]
         term = fit.linear.terms[number]
         scales = [h for h in range(len(evidence.weights[number])) if not is_exact(evidence, number, h)]
         ways = [[*rest, (number, scale)] for scale in scales]
         logs = np.array([evidence.value(way, best.kappa) for way in ways])
         share = np.exp(logs - logs.max())
         share /= share.sum()
-        own = slice(-term.count, None)
-        found = [
+        at = slice(-term.count, None)
+        estimates = [
             (weight, *evidence.estimate(way, best.kappa))
             for weight, way in zip(share.tolist(), ways, strict=True)
             if weight > CREDIBLE_LEAST
         ]
-        mean = np.asarray(sum((weight * size[own] for weight, size, _ in found), np.zeros(1)))
+        mean = np.asarray(sum((weight * size[at] for weight, size, _ in estimates), np.zeros(1)))
         covariance = sum(
-            (weight * (spread[own, own] + np.outer(size[own] - mean, size[own] - mean)) for weight, size, spread in found),
+            (weight * (spread[at, at] + np.outer(size[at] - mean, size[at] - mean)) for weight, size, spread in estimates),
             np.zeros((1, 1)),
         )
         sd = evidence.scales[number][0][scales]
@@ -89,7 +89,7 @@ def _alike(fit: SeriesFit, term: SeriesTerm, size: Array) -> Array:
     whole = size[: term.laws].copy()
     if term.laws == 1 and term.law is not None:
         law = term.law(np.eye(term.count)[0])
-        known = sum(one.values[0] for one in fit.around.known if one.name == term.key and one.form is law.form)
+        known = sum(stated.values[0] for stated in fit.around.known if stated.name == term.key and stated.form is law.form)
         whole[0] += known / law.values[0]
     result = np.zeros((term.count, term.count))
     for shape in term.alike:
@@ -101,8 +101,8 @@ def _alike(fit: SeriesFit, term: SeriesTerm, size: Array) -> Array:
 def with_only(fit: SeriesFit, names: Collection[int]) -> SeriesFit:
     """The fit with the best set's blocks and these of its other terms."""
     terms = fit.linear.terms
-    some = tuple(one for one in fit.best.members if one[0] in names or isinstance(terms[one[0]].key, Block))
-    best = dataclasses.replace(fit.best, members=some)
+    remaining = tuple(entry for entry in fit.best.members if entry[0] in names or isinstance(terms[entry[0]].key, Block))
+    best = dataclasses.replace(fit.best, members=remaining)
     return dataclasses.replace(fit, decision=dataclasses.replace(fit.decision, best=best))
 
 
@@ -117,13 +117,13 @@ def validated(fit: SeriesFit, reporting: Picked) -> tuple[SeriesFit, list[Key]]:
     sound = _harmless(fit, names, reporting)
     helping: list[int] = []
     while left_over := [k for k in blocks if k not in helping]:
-        here = left(fit, [*sound, *helping])
-        tried = {k: left(fit, [*sound, *helping, k]) for k in left_over}
+        here = residual_of(fit, [*sound, *helping])
+        tried = {k: residual_of(fit, [*sound, *helping, k]) for k in left_over}
         best = min(left_over, key=lambda k: gap(tried[k], table, reporting))
         if grown(fit, here, tried[best], reporting) <= REMAINS:
             break
         helping.append(best)
-    members = tuple(one for one in fit.best.members if one[0] in (*sound, *helping))
+    members = tuple(entry for entry in fit.best.members if entry[0] in (*sound, *helping))
     best_set = dataclasses.replace(fit.best, members=members)
     harming = [terms[k].key for k in names if k not in sound]
     return dataclasses.replace(fit, decision=dataclasses.replace(fit.decision, best=best_set)), harming
@@ -133,8 +133,8 @@ def _harmless(fit: SeriesFit, numbers: Sequence[int], reporting: Picked) -> list
     """Those without which the gap on the runs kept apart does not shrink, each time estimated again."""
     table, sound = fit.around.scene.rows.table, list(numbers)
     while sound:
-        size = gap(left(fit, sound), table, reporting)
-        without = {k: gap(left(fit, [one for one in sound if one != k]), table, reporting) for k in sound}
+        size = gap(residual_of(fit, sound), table, reporting)
+        without = {k: gap(residual_of(fit, [number for number in sound if number != k]), table, reporting) for k in sound}
         worst = min(sound, key=lambda k: without[k])
         if not without[worst] ** 2 < (1.0 - GROWS) * size**2:
             break
@@ -147,21 +147,21 @@ def dominant_names(fit: SeriesFit, names: Sequence[int], corrected: Sequence[int
 
     What has no name casts shadows: of a dozen laws of a joint one always takes a part of it. So the largest of all is known.
     """
-    some = {one.number: one for one in members(fit)}
-    blocks = [k for k in some if isinstance(some[k].term.key, Block) and k not in corrected]
+    by_number = {member.number: member for member in members(fit)}
+    blocks = [k for k in by_number if isinstance(by_number[k].term.key, Block) and k not in corrected]
     # every gear has these frictions: they are no shadows
-    gears = [k for k in names if some[k].term.is_common]
+    gears = [k for k in names if by_number[k].term.is_common]
     stands = list(names)
     while stands:
-        nameless = [k for k in blocks if bends(fit, some[k], [some[one] for one in stands])[0] is None]
-        whole = left(fit, [*stands, *corrected, *blocks], nameless)
+        nameless = [k for k in blocks if bends(fit, by_number[k], [by_number[name] for name in stands])[0] is None]
+        whole = residual_of(fit, [*stands, *corrected, *blocks], nameless)
         ratios = {}
         for k in stands:
             if k in gears:
                 ratios[k] = np.inf
                 continue
-            rest = [*(one for one in stands if one != k), *corrected, *blocks]
-            ratios[k] = _explained_over_remainder(fit, some[k], left(fit, rest, nameless), whole, reporting)
+            rest = [*(name for name in stands if name != k), *corrected, *blocks]
+            ratios[k] = _explained_over_remainder(fit, by_number[k], residual_of(fit, rest, nameless), whole, reporting)
         least = min(stands, key=lambda k: ratios[k])
         if ratios[least] >= 1.0:
             break
@@ -169,66 +169,66 @@ def dominant_names(fit: SeriesFit, names: Sequence[int], corrected: Sequence[int
     return stands
 
 
-def _explained_over_remainder(fit: SeriesFit, one: Member, without: Array, whole: Array, reporting: Picked) -> float:
+def _explained_over_remainder(fit: SeriesFit, member: Member, without: Array, whole: Array, reporting: Picked) -> float:
     """What a term explains over what is left above the noise in the channels that it moves, each as it moves them.
 
     On the rows `reporting`, or on all where it hardly moves those: they do not speak of it.
     """
-    if _strongest(fit, one, reporting) < REMAINS * _strongest(fit, one, ~reporting):
+    if _strongest(fit, member, reporting) < REMAINS * _strongest(fit, member, ~reporting):
         reporting = np.ones_like(reporting)
     explained, remains, moved = [], [], []
-    for cell, columns in one.term.response.items():
+    for cell, columns in member.term.response.items():
         rows = fit.around.scene.cells[cell].rows
         picked = reporting[rows]
         if picked.any():
-            own = columns[picked] @ one.size
-            size, other, signal = (float(np.mean(part**2)) for part in (whole[rows][picked], without[rows][picked], own))
-            explained.append(other - size)
+            effect = columns[picked] @ member.size
+            size, beside, signal = (float(np.mean(part**2)) for part in (whole[rows][picked], without[rows][picked], effect))
+            explained.append(beside - size)
             remains.append(max(size - 1.0, GROWS))
             moved.append(signal)
     most = max(moved, default=0.0)
     if most <= 0.0:
         return 0.0
-    return sum(explained) / sum(left * signal / most for left, signal in zip(remains, moved, strict=True))
+    return sum(explained) / sum(rest * signal / most for rest, signal in zip(remains, moved, strict=True))
 
 
-def _strongest(fit: SeriesFit, one: Member, picked: Picked) -> float:
+def _strongest(fit: SeriesFit, member: Member, picked: Picked) -> float:
     """Mean square of what a term does to the rows picked, in the channel that it moves most there [noise variances]."""
-    found = [0.0]
-    for cell, columns in one.term.response.items():
-        here = columns[picked[fit.around.scene.cells[cell].rows]] @ one.size
+    squares = [0.0]
+    for cell, columns in member.term.response.items():
+        here = columns[picked[fit.around.scene.cells[cell].rows]] @ member.size
         if len(here):
-            found.append(float(np.mean(here**2)))
-    return max(found)
+            squares.append(float(np.mean(here**2)))
+    return max(squares)
 
 
 def grown(fit: SeriesFit, rest: Array, whole: Array, reporting: Picked) -> float:
     """By how much the squared gap of a cell is larger with `rest` than with `whole`, on the rows kept apart, at most."""
-    found = []
+    growths = []
     for cell in fit.around.scene.cells:
         picked = reporting[cell.rows]
         if picked.any():
-            found.append(float(np.mean(rest[cell.rows][picked] ** 2 - whole[cell.rows][picked] ** 2)))
-    return max(found, key=abs, default=0.0)
+            growths.append(float(np.mean(rest[cell.rows][picked] ** 2 - whole[cell.rows][picked] ** 2)))
+    return max(growths, key=abs, default=0.0)
 
 
 def bends(fit: SeriesFit, block: Member, names: Sequence[Member]) -> tuple[EffectName | None, float]:
     """The law that a block bends in its own variable, no more than real parts do, and by what share of it."""
-    for one in names:
-        key, own = one.term.key, block.term.key
-        if not isinstance(key, EffectName) or not isinstance(own, Block) or own.joint != key.acts_on:
+    for member in names:
+        key, block_key = member.term.key, block.term.key
+        if not isinstance(key, EffectName) or not isinstance(block_key, Block) or block_key.joint != key.acts_on:
             continue
         series = series_of(key.effect)
-        if series is None or own.variable not in series.blocks:
+        if series is None or block_key.variable not in series.blocks:
             continue
-        law = _moved(fit, one, one.term.laws, block.term.response)
+        law = _moved(fit, member, member.term.laws, block.term.response)
         share = _moved(fit, block, block.term.count, block.term.response) / law if law > 0.0 else np.inf
         if share <= LAW_MOST:
             return key, share
     return None, 0.0
 
 
-def _moved(fit: SeriesFit, one: Member, count: int, cells: Collection[int]) -> float:
+def _moved(fit: SeriesFit, member: Member, count: int, cells: Collection[int]) -> float:
     """Root of the sum of squares of what a member's first columns do to the rows of cells."""
-    parts = [one.term.response[cell][:, :count] @ one.size[:count] for cell in cells if cell in one.term.response]
+    parts = [member.term.response[cell][:, :count] @ member.size[:count] for cell in cells if cell in member.term.response]
     return float(np.sqrt(sum(float(part @ part) for part in parts)))
