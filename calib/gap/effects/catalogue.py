@@ -117,7 +117,7 @@ def series_terms(
     `before`: the terms of the first linearisation, which stay for what was not found, unless what was found on its joint changes
     it: a gear that is soft or loose another such gear, an encoder's error where the motor's cogging comes round.
     """
-    laws = point.found.values()
+    laws = point.laws.values()
     geared = {law.name.joint for law in laws if law.form.is_gear}
     misread = {place(law)[0] + 1 for law in laws if law.form.acts == "angle"}
     for record, key in _listed(point.scene):
@@ -126,7 +126,7 @@ def series_terms(
         is_listed = names is None or key.effect in names or key.effect not in EFFECTS
         listed_key = key if is_listed else Block(key.joint or 0, key.effect)
         is_other = (is_gear(key.effect) and key.joint in geared) or (comes_round(key.effect) and key.joint in misread)
-        if before and key not in point.found and not is_other:
+        if before and key not in point.laws and not is_other:
             yield from (term for term in before if term.key == listed_key)
         elif record.series is not None:
             terms = record.series.terms(Sought(point, record, key))

@@ -181,7 +181,7 @@ class Sought:
     @property
     def identified(self) -> Law | None:
         """The law as it was found before."""
-        return self.point.found.get(self.key)
+        return self.point.laws.get(self.key)
 
     @property
     def forms(self) -> tuple[Form, ...]:

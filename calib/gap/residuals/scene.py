@@ -221,7 +221,7 @@ class SeriesScene:
 
     def keep(self, usable: Flags) -> None:
         """Rows (k,) that models can speak of from now on; the others are like gaps."""
-        self.kept = usable
+        self.usable = usable
         still = self.picked(usable)
         self.series = [
             RowOrder.of(thin.run, thin.sample, thin.step, thin.stride, still[rows])
@@ -307,7 +307,7 @@ class OperatingPoint:
 
     scene: SeriesScene
     known: tuple[Law, ...]
-    found: dict[Key, Law]
+    laws: dict[Key, Law]
     residual: Array
     smooth: Array
 
@@ -320,13 +320,13 @@ class OperatingPoint:
     @property
     def model(self) -> tuple[Law, ...]:
         """All of it."""
-        return (*self.known, *self.found.values())
+        return (*self.known, *self.laws.values())
 
     def without(self, key: Key) -> tuple[tuple[Law, ...], Array]:
         """The model without a law, and its rows as columns are reckoned from them."""
-        if key not in self.found:
+        if key not in self.laws:
             return self.model, self.smooth
-        rest = (*self.known, *(law for name, law in self.found.items() if name != key))
+        rest = (*self.known, *(law for name, law in self.laws.items() if name != key))
         return rest, self.scene.columns.residual(rest)
 
 

@@ -48,7 +48,7 @@ class SeriesVerdict:
     """The verdict on the last fit: names with law, covariance of its values and departure; what is left; corrections.
 
     `fit`: its best set without what was withdrawn; `corrected`: terms taken off as the sensors' own, with coefficients.
-    `kept`: keys that explain something: names, how parts depart, and what is taken off.
+    `explaining`: keys that explain something: names, how parts depart, and what is taken off.
     """
 
     fit: SeriesFit
@@ -59,7 +59,7 @@ class SeriesVerdict:
     ambiguous: tuple[tuple[EffectName, ...], ...]
     unknown: Unknown | None
     remainder: tuple[Remainder, ...]
-    kept: frozenset[Key]
+    explaining: frozenset[Key]
     warnings: tuple[str, ...]
 
 
@@ -79,7 +79,7 @@ def judged(fit: SeriesFit, parts: RowSplit, harming: Sequence[Key]) -> SeriesVer
             sentences.append(correction)
             corrected.append(member.number)
         elif key in fit.decision.names and member.term.law is not None and member.is_sure:
-            if not member.term.law(member.size).is_worth_a_name(fit.around.scene.given_Nm):
+            if not member.term.law(member.size).is_worth_a_name(fit.point.scene.given_Nm):
                 continue
             if against := _against(fit, member, reporting):
                 sentences.append(f"{against.words}: not named")
@@ -170,15 +170,15 @@ def _correction(fit: SeriesFit, member: Member) -> str:
         return f"the camera's times are {abs(time_ms):.2f} ms {way}: corrected"
     if isinstance(member.term.key, EffectName) and member.term.key.effect == SAMPLING and member.term.law is not None:
         # as the refit has it; beside nuisances, a command that is late by as little says the same
-        time_ms = 1e3 * fit.around.found.get(member.term.key, member.term.law(member.size)).values[0]
-        if THINNED[0] < 1e-3 * time_ms * fit.around.scene.recording.filters.rate_Hz < THINNED[1]:
+        time_ms = 1e3 * fit.point.laws.get(member.term.key, member.term.law(member.size)).values[0]
+        if THINNED[0] < 1e-3 * time_ms * fit.point.scene.recording.filters.rate_Hz < THINNED[1]:
             return (
                 "other voltages were held between these samples, half a sample away on the whole: was the log thinned out?"
                 " Corrected; record every sample"
             )
         than = (
             "after the voltage of their line took effect"
-            if fit.around.scene.recording.has_voltage
+            if fit.point.scene.recording.has_voltage
             else "before the end of a step of the voltage"
         )
         return f"angles and currents are read {time_ms:.2f} ms {than}: corrected"
@@ -251,7 +251,7 @@ def _unknown(fit: SeriesFit, nameless: Sequence[NamelessShape], explaining: Coll
 
 def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[Key]) -> Unknown | None:
     """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
-    scene = fit.around.scene
+    scene = fit.point.scene
     rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
     most = math.sqrt(1.0 + REMAINS) if rivals else SILENT_MOST
     if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
@@ -293,7 +293,7 @@ def _nearest(fit: SeriesFit, explaining: Collection[Key]) -> tuple[EffectName | 
 def _remainder(fit: SeriesFit, nameless: Sequence[NamelessShape], reporting: Picked) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first."""
     whole = residual_of(fit, fit.numbers)
-    scene = fit.around.scene
+    scene = fit.point.scene
     remainders = []
     for shape in sorted(nameless, key=lambda shape: -shape.worth):
         if shape.worth > 0.0:
@@ -316,7 +316,7 @@ def _share(fit: SeriesFit, number: int) -> float:
 def _is_material(fit: SeriesFit, names: Sequence[EffectName]) -> bool:
     """Whether one of a set, as it is in the best set, is of a size worth a name."""
     laws = fit.laws()
-    return any(name in laws and laws[name].is_worth_a_name(fit.around.scene.given_Nm) for name in names)
+    return any(name in laws and laws[name].is_worth_a_name(fit.point.scene.given_Nm) for name in names)
 
 
 def seen_by_sensors(verdict: SeriesVerdict, count: int) -> Array:
@@ -324,7 +324,7 @@ def seen_by_sensors(verdict: SeriesVerdict, count: int) -> Array:
     sensed = np.zeros(count)
     for term, size in verdict.corrected:
         for cell, columns in term.response.items() if term.law is None else ():
-            sensed[verdict.fit.around.scene.cells[cell].rows] += columns @ size
+            sensed[verdict.fit.point.scene.cells[cell].rows] += columns @ size
     return sensed
 
 
@@ -336,7 +336,7 @@ def named_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
     return tuple(
         NamedEffect(
             name,
-            parameters(fit.around.scene.arm, verdict.laws[name], verdict.covariance[name]),
+            parameters(fit.point.scene.arm, verdict.laws[name], verdict.covariance[name]),
             math.nan,
             probability=fit.decision.probability[name],
             share=share[name],

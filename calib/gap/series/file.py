@@ -78,10 +78,10 @@ class _Laws:
         table[:, -1] = fit.linear.y
         for member, (offset, free), place in zip(members, ways, places, strict=True):
             for cell, columns in member.term.response.items():
-                rows = fit.around.scene.cells[cell].rows
+                rows = fit.point.scene.cells[cell].rows
                 table[rows, place] += columns @ free
                 table[rows, -1] -= columns @ offset
-        groups = [group & fit.around.scene.kept for group in parts.groups or (parts.deciding,)]
+        groups = [group & fit.point.scene.usable for group in parts.groups or (parts.deciding,)]
         grams = tuple(table[group].T @ table[group] for group in groups)
         # of links and frames no motion tells everything
         ridge = np.concatenate([np.zeros(0), *(np.full(free.shape[1], free.shape[1] > 2) for _, free in ways)])

@@ -66,11 +66,11 @@ def decided(
     parts, scene = split(recording, rows.table), SeriesScene(rows, known, prior and prior.beyond(arm))
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)
-    parts = parts.only(scene.kept)
+    parts = parts.only(scene.usable)
     fit, harming = validated(fit, parts.reporting)
     verdict = judged(fit, parts, harming)
     progress("done", 1.0)
-    warnings += [*left_out(scene.kept, rows.table), *unknown_rotors(fit)]
+    warnings += [*left_out(scene.usable, rows.table), *unknown_rotors(fit)]
     return Examined(arm, log, rows, known, verdict, parts, _told(fit, verdict, arm), tuple(warnings))
 
 
@@ -78,7 +78,7 @@ def _told(fit: SeriesFit, verdict: SeriesVerdict, arm: Arm) -> Told:
     """What these runs alone tell, of totals; departures that look like a law itself leave its size so much less sure."""
     open_ = {name for names in verdict.ambiguous for name in names}
     withdrawn = fit.names - verdict.laws.keys() - open_
-    posterior = Told.by(fit.evidence, fit.best, SHARED, fit.around.scene.told, withdrawn)
+    posterior = Told.by(fit.evidence, fit.best, SHARED, fit.point.scene.told, withdrawn)
     for member in members(fit):
         if isinstance(member.term.key, EffectName) and member.term.key in posterior.places:
             laws = slice(0, member.term.laws)
@@ -175,7 +175,7 @@ class Examined:
         """What was decided, without the gap that a file leaves."""
         verdict, table, reporting = self.verdict, self.rows.table, self.parts.reporting
         before = self.rows.residual(self.known)
-        explained = what_is_left(verdict.fit, verdict.kept) if verdict.kept else before
+        explained = what_is_left(verdict.fit, verdict.explaining) if verdict.explaining else before
         return GapFinding(
             arm=self.arm.name,
             data=self.log.sources,

@@ -41,21 +41,21 @@ class Validated:
     """A fit, and how well its best set predicts recordings that it was not fitted to.
 
     `noises`: what is left there, of every cell; `missed`: of each run, the logarithm of its prediction errors' variance (runs,);
-    `weight`: its share of the rows (runs,); `kept`: the rows that were looked at.
+    `weight`: its share of the rows (runs,); `usable`: the rows that were looked at.
     """
 
     fit: SeriesFit
     noises: tuple[Noise, ...]
     missed: Array
     weight: Array
-    kept: Picked
+    usable: Picked
 
     @classmethod
     def of(cls, fit: SeriesFit, split: RowSplit) -> Validated:
         """Every group of recordings predicted from the others."""
-        scene, members = fit.around.scene, fit.best.members
+        scene, members = fit.point.scene, fit.best.members
         sd = np.concatenate([fit.evidence.scales[k][0][h] for k, h in members] or [np.zeros(0)])
-        groups = [scene.picked(group & scene.kept) for group in split.groups]
+        groups = [scene.picked(group & scene.usable) for group in split.groups]
         rest = cross_validated(fit.linear, fit.numbers, sd, fit.noises, groups)
         noises = noises_of(scene, rest, fit.rows)
         runs = len(scene.recording.runs)
@@ -67,7 +67,7 @@ class Validated:
         )
         errors = np.array([2.0 * np.log(noise.scale * noise.sd[-1]) for noise in noises])
         missed = np.sum(np.where(rows > 0, rows * errors, 0.0), axis=0) / np.maximum(rows.sum(axis=0), 1)
-        return cls(fit, tuple(noises), missed, rows.sum(axis=0) / rows.sum(), scene.kept)
+        return cls(fit, tuple(noises), missed, rows.sum(axis=0) / rows.sum(), scene.usable)
 
     def unless_worse_than(self, before: Validated | None, is_remeasured: bool = False) -> Validated:
         """This one, or the one before if that predicted better by what is worth a word.
@@ -123,7 +123,7 @@ def fitted(
             break  # no better point of linearisation
         point = after
     assert last is not None  # the first is taken
-    scene.keep(last.kept)
+    scene.keep(last.usable)
     advance("rivals of what was found", 0.94)
     return against_rivals(last.fit, split, linearised)
 
@@ -137,15 +137,15 @@ def remains(point: OperatingPoint, fit: SeriesFit) -> Array:
 
 def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
     """Around the best set, with its laws' values refitted until what the model leaves settles."""
-    scene, known = fit.around.scene, fit.around.known
+    scene, known = fit.point.scene, fit.point.known
 
     def at(laws: Mapping[Key, Law]) -> OperatingPoint:
         scene.keep(scene.rows.resting((*known, *laws.values())))
         return OperatingPoint.of(scene, known, laws)
 
     point, settling = at(fit.laws()), Settling(FITS_MOST)
-    while settling.goes_on and not all(law.form.is_straight for law in point.found.values()):
-        usable = scene.kept
+    while settling.goes_on and not all(law.form.is_straight for law in point.laws.values()):
+        usable = scene.usable
         further = at(_refitted(fit, point, split))
         before, after = remains(point, fit), remains(further, fit)
         # what a play does to the rows bends so much that a refit may lead away
@@ -159,11 +159,11 @@ def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
 
 def _refitted(fit: SeriesFit, point: OperatingPoint, split: RowSplit) -> dict[Key, Law]:
     """The laws of a model one step further."""
-    scene, laws = point.scene, point.found
+    scene, laws = point.scene, point.laws
     blocks = [fit.linear.terms[k] for k in fit.numbers if fit.linear.terms[k].law is None]
     terms = [term for term in series_terms(point, keys=laws.keys()) if term.now is not None]
     linear = SeriesLinear.around(point, [*terms, *blocks])
-    gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.kept))
+    gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.usable))
     sd = np.concatenate([_usual(term) for term in linear.terms])
     inner = np.eye(len(sd)) + sd[:, None] * (gram.tip + gram.current) * sd
     covariance = sd[:, None] * np.linalg.inv(inner) * sd
@@ -200,7 +200,7 @@ RIVALS_MOST = 3  # that are looked into: each costs a linearisation
 
 def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear]) -> SeriesFit:
     """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
-    scene = fit.around.scene
+    scene = fit.point.scene
     near: list[tuple[EffectName, EffectName]] = []
     tried: set[frozenset[EffectName]] = set()
     for _ in range(RIVALS_MOST):
@@ -209,7 +209,7 @@ def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[Operati
             break
         name, rival, members = contest
         tried.add(frozenset((name, rival)))
-        usable = scene.kept
+        usable = scene.usable
         point = settled(_with(fit, members), split)
         keys = frozenset(fit.linear.terms[number].key for number, _ in members.members)
         alternative = weighed(point, linearise(point), fit.noises, split, [keys])
@@ -236,7 +236,7 @@ def rivals(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
         if name not in fit.decision.names or not isinstance(name, EffectName):
             continue
         seen: set[EffectName] = set()
-        for candidate in fit.found:
+        for candidate in fit.sets:
             if candidate.log < best.log - max(REMAINS * gain, MARGIN):
                 break
             keys = {terms[k].key for k, _ in candidate.members}
@@ -297,7 +297,7 @@ def nuisances(point: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[Se
 
 def unknown_rotors(fit: SeriesFit) -> Iterator[str]:
     """Said of joints whose motors surely have an inertia that the file does not know."""
-    scene, (size, covariance), place = fit.around.scene, refitted(fit, fit.numbers), 0
+    scene, (size, covariance), place = fit.point.scene, refitted(fit, fit.numbers), 0
     words = {nuisance.words: nuisance.key.joint for nuisance in fit.linear.terms if nuisance.key in _unknown_rotors(scene)}
     for nuisance in fit.linear.nuisances:
         if (joint := words.get(nuisance.words)) and size[place] > SURE_sd * math.sqrt(covariance[place, place]):

@@ -49,7 +49,7 @@ class SeriesLinear:
         """Terms of the model are added to what it leaves, at what they are there."""
         y = -point.residual.copy()
         for term in terms:
-            if term.now is not None and term.key in point.found:
+            if term.now is not None and term.key in point.laws:
                 for number, response in term.response.items():
                     y[point.scene.cells[number].rows] += response[:, : len(term.now)] @ term.now
         whole = (*nuisances, *terms)
@@ -168,16 +168,16 @@ BARRED_MOST = 4  # searches, each without the laws that the one before bent too 
 
 @dataclass(frozen=True, slots=True)
 class SeriesFit:
-    """One linearisation, the noise around it, and what was decided; `gram` with nuisances, on the rows; `found`: all sets that
+    """One linearisation, the noise around it, and what was decided; `gram` with nuisances, on the rows; `sets`: all sets that
     were weighed, best first.
     """
 
-    around: OperatingPoint
+    point: OperatingPoint
     linear: SeriesLinear
     noises: tuple[Noise, ...]
     gram: Gram
     evidence: Evidence
-    found: tuple[Weighed, ...]
+    sets: tuple[Weighed, ...]
     decision: Decision
     rows: Picked
 
@@ -210,7 +210,7 @@ def weighed(
     point: OperatingPoint, linear: SeriesLinear, noises: Sequence[Noise], split: RowSplit, starts: Sequence[frozenset[Key]]
 ) -> SeriesFit:
     """The sets of effects around an operating point, weighed on the rows that decide; `starts`: sets to begin with."""
-    rows = point.scene.picked(split.deciding & point.scene.kept)
+    rows = point.scene.picked(split.deciding & point.scene.usable)
     gram = linear.gram(noises, rows)
     evidence = Evidence(marginalised(gram, linear.first), linear.terms, FLOOR_DOUBT)
     barred: set[Key] = set()
@@ -231,7 +231,7 @@ def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, point
     barred = set()
     for number, coefficients in evidence.sizes(best).items():
         term = linear.terms[number]
-        is_known = term.curve is None or term.key in point.found
+        is_known = term.curve is None or term.key in point.laws
         if term.is_name and not term.is_common and is_known and term.departed_by(coefficients) > LAW_MOST:
             barred.add(term.key)
     return barred
@@ -248,13 +248,13 @@ def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
 
 def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:
     """`refitted` of the best set without one of some groups of rows (k,) in turn: coefficients, (groups, c)."""
-    linear, scene, at = fit.linear, fit.around.scene, fit.linear.at(fit.numbers)
+    linear, scene, at = fit.linear, fit.point.scene, fit.linear.at(fit.numbers)
     scales, across, noise = fit.evidence.scales, np.ix_(at, at), fit.best.kappa**2
     sd = np.concatenate([np.ones(linear.first), *(scales[k][0][h] for k, h in fit.best.members)])
     white = linear.whitened(np.column_stack((linear.thin_columns(at), linear.thin_y)), fit.noises)
     coefficients = []
     for group in groups:
-        rows = white[scene.picked(group & scene.kept)]
+        rows = white[scene.picked(group & scene.usable)]
         gram = rows.T @ rows
         seen = (fit.gram.tip[across] - gram[:-1, :-1]) / noise + fit.gram.current[across]
         pull = (fit.gram.pull[at] - gram[:-1, -1]) / noise + fit.gram.current_pull[at]

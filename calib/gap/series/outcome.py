@@ -102,7 +102,7 @@ ROWS_LEAST = 60  # of a cell in which a law is drawn
 
 def drawn_laws(fit: SeriesFit, names: Collection[EffectName]) -> tuple[DrawnLaw, ...]:
     """Each of the names over its own variable, in the channel where it does most."""
-    rest, by_name, scene = residual_of(fit, fit.numbers), {}, fit.around.scene
+    rest, by_name, scene = residual_of(fit, fit.numbers), {}, fit.point.scene
     for number, size in fit.evidence.sizes(fit.best).items():
         term, laws = fit.linear.terms[number], size * (np.arange(len(size)) < fit.linear.terms[number].laws)
         done = {k: columns @ laws for k, columns in term.response.items() if len(columns) >= ROWS_LEAST}
@@ -118,7 +118,7 @@ def drawn_laws(fit: SeriesFit, names: Collection[EffectName]) -> tuple[DrawnLaw,
 
 def _variable(fit: SeriesFit, term: SeriesTerm, name: EffectName, k: int) -> tuple[Array, str]:
     """The law's own variable at the rows of a cell, and its label."""
-    scene = fit.around.scene
+    scene = fit.point.scene
     at, joint = scene.beside[k], followed_joint(name.effect, name.joint) or max(scene.cells[k].joint, 0) + 1
     j = min(joint, at.q.shape[1]) - 1
     series = series_of(name.effect)

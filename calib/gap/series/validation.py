@@ -89,7 +89,7 @@ def _alike(fit: SeriesFit, term: SeriesTerm, size: Array) -> Array:
     whole = size[: term.laws].copy()
     if term.laws == 1 and term.law is not None:
         law = term.law(np.eye(term.count)[0])
-        known = sum(stated.values[0] for stated in fit.around.known if stated.name == term.key and stated.form is law.form)
+        known = sum(stated.values[0] for stated in fit.point.known if stated.name == term.key and stated.form is law.form)
         whole[0] += known / law.values[0]
     result = np.zeros((term.count, term.count))
     for shape in term.alike:
@@ -111,7 +111,7 @@ def validated(fit: SeriesFit, reporting: Picked) -> tuple[SeriesFit, list[Key]]:
 
     Blocks are tried beside names that do no harm by themselves.
     """
-    table, terms = fit.around.scene.rows.table, fit.linear.terms
+    table, terms = fit.point.scene.rows.table, fit.linear.terms
     blocks = [k for k in fit.numbers if isinstance(terms[k].key, Block) and terms[k].words != CAMERA]
     names = [k for k in fit.numbers if k not in blocks]
     sound = _harmless(fit, names, reporting)
@@ -131,7 +131,7 @@ def validated(fit: SeriesFit, reporting: Picked) -> tuple[SeriesFit, list[Key]]:
 
 def _harmless(fit: SeriesFit, numbers: Sequence[int], reporting: Picked) -> list[int]:
     """Those without which the gap on the runs kept apart does not shrink, each time estimated again."""
-    table, sound = fit.around.scene.rows.table, list(numbers)
+    table, sound = fit.point.scene.rows.table, list(numbers)
     while sound:
         size = gap(residual_of(fit, sound), table, reporting)
         without = {k: gap(residual_of(fit, [number for number in sound if number != k]), table, reporting) for k in sound}
@@ -178,7 +178,7 @@ def _explained_over_remainder(fit: SeriesFit, member: Member, without: Array, wh
         reporting = np.ones_like(reporting)
     explained, remains, moved = [], [], []
     for cell, columns in member.term.response.items():
-        rows = fit.around.scene.cells[cell].rows
+        rows = fit.point.scene.cells[cell].rows
         picked = reporting[rows]
         if picked.any():
             effect = columns[picked] @ member.size
@@ -196,7 +196,7 @@ def _strongest(fit: SeriesFit, member: Member, picked: Picked) -> float:
     """Mean square of what a term does to the rows picked, in the channel that it moves most there [noise variances]."""
     squares = [0.0]
     for cell, columns in member.term.response.items():
-        here = columns[picked[fit.around.scene.cells[cell].rows]] @ member.size
+        here = columns[picked[fit.point.scene.cells[cell].rows]] @ member.size
         if len(here):
             squares.append(float(np.mean(here**2)))
     return max(squares)
@@ -205,7 +205,7 @@ def _strongest(fit: SeriesFit, member: Member, picked: Picked) -> float:
 def grown(fit: SeriesFit, rest: Array, whole: Array, reporting: Picked) -> float:
     """By how much the squared gap of a cell is larger with `rest` than with `whole`, on the rows kept apart, at most."""
     growths = []
-    for cell in fit.around.scene.cells:
+    for cell in fit.point.scene.cells:
         picked = reporting[cell.rows]
         if picked.any():
             growths.append(float(np.mean(rest[cell.rows][picked] ** 2 - whole[cell.rows][picked] ** 2)))

@@ -29,7 +29,7 @@ def fit(*sets: tuple[float, list[Any]]) -> Any:
     terms = [SimpleNamespace(key=key) for key in KEYS]
     decision = SimpleNamespace(names=(SCALE, COULOMB))
     names = frozenset(KEYS[k] for k, _ in found[0].members)
-    return SimpleNamespace(linear=SimpleNamespace(terms=terms), best=found[0], found=tuple(found), decision=decision, names=names)
+    return SimpleNamespace(linear=SimpleNamespace(terms=terms), best=found[0], sets=tuple(found), decision=decision, names=names)
 
 
 def test_what_explains_nine_tenths_of_a_name_in_its_place_is_its_rival() -> None:
