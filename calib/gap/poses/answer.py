@@ -28,10 +28,10 @@ from calib.gap.poses.cautions import about_fit, about_orientations, about_outlie
 from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
-from calib.gap.poses.linear import Left
+from calib.gap.poses.linear import Residuals
 from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
-from calib.gap.poses.state import Around, Looked
+from calib.gap.poses.state import Linearised, Looked
 from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
@@ -41,7 +41,7 @@ from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
 
 
-def answered(prepared: Looked, linearised: Around, decision: Decision) -> StaticGap:
+def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> StaticGap:
     """The finding of a decision, with what its report draws; `prepared`: as it was before the search, which has another noise."""
     looked = linearised.looked
     best, points, parts = decision.best, looked.points, looked.parts
@@ -63,14 +63,14 @@ def answered(prepared: Looked, linearised: Around, decision: Decision) -> Static
     decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
     last, nominal_fit = files[-1], placed(looked.arm, points, parts.known)
-    nominal, residuals = nominal_fit.left(), [file.fit.left() for file in files]
+    nominal, residuals = nominal_fit.residuals(), [file.fit.residuals() for file in files]
     gaps = [residual.times(floor.tip_m, floor.turn_rad, parts.report) for residual in residuals]
     effects = [
         _named(linearised, decision, last, name, estimates[name], gap)
         for name, gap in zip(order, gaps[1 : len(order) + 1], strict=True)
     ]
     as_given, refitted = (_square(residual, floor, parts.known) for residual in (nominal, residuals[0]))
-    if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].found.rank):
+    if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].identification.rank):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
     if not effects and not last.arm.maps:
         # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
@@ -87,7 +87,7 @@ def answered(prepared: Looked, linearised: Around, decision: Decision) -> Static
             f"on {open_count} of {int(parts.report.sum())} held-out poses nothing tells on which flank a loose gear lies: there"
             " the new arm.toml predicts the middle of its play, and is off by up to half of it"
         )
-    warnings += about_fit(looked.arm, last.found, floor, looked.floor.tip_m * best.kappa)
+    warnings += about_fit(looked.arm, last.identification, floor, looked.floor.tip_m * best.kappa)
     steps = [*map(str, order), *map(str, last.arm.maps[:1])]
     grown = [(step, residual.tip_m) for step, residual in zip(steps, residuals[1:], strict=True)]
     return StaticGap(
@@ -130,7 +130,7 @@ def _files(
         kept = {name: estimate for name, estimate in estimates.items() if name not in why}
         return _files(looked, decision, kept, beside, firmer, {**reasons, **why})
     if last.unshared is not None:
-        with_maps, without = (_square(one.fit.left(), looked.floor, looked.parts.report) for one in (last, last.unshared))
+        with_maps, without = (_square(one.fit.residuals(), looked.floor, looked.parts.report) for one in (last, last.unshared))
         last = last if with_maps < without else last.unshared
     files = [
         File.of(arm, points, rows, {key: named[key] for key in keys[:count]}, {}, firmer, False)
@@ -143,11 +143,11 @@ def _maps(file: File, report: Mask) -> MeasuredMaps | None:
     """What sets share as the file's maps, and what these are worth at the poses (m,) that report; None where there are none."""
     if file.unshared is None:
         return None
-    before, after = (one.fit.left().sizes(report)["tip_m"] for one in (file.unshared, file))
+    before, after = (one.fit.residuals().sizes(report)["tip_m"] for one in (file.unshared, file))
     return MeasuredMaps(file.arm.maps, (MapCheck("tip_m", None, before, after),))
 
 
-def _open_members(linearised: Around, decision: Decision) -> dict[EffectName, Parameters]:
+def _open_members(linearised: Linearised, decision: Decision) -> dict[EffectName, Parameters]:
     """Of every ambiguous set one beside the names, with its first estimate, if there is one: the likeliest that a map can follow,
     else what the best set has.
     """
@@ -162,12 +162,12 @@ def _open_members(linearised: Around, decision: Decision) -> dict[EffectName, Pa
     return members
 
 
-def _named_alone(linearised: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:
+def _named_alone(linearised: Linearised, best: Weighed, names: Sequence[EffectName]) -> Weighed:
     """The set without what has no name; its laws depart as they do."""
     return dataclasses.replace(best, members=tuple(member for member in best.members if linearised.terms[member[0]].key in names))
 
 
-def _square(residual: Left, floor: Floor, rows: Mask) -> float:
+def _square(residual: Residuals, floor: Floor, rows: Mask) -> float:
     return residual.times(floor.tip_m, floor.turn_rad, rows) ** 2
 
 
@@ -182,12 +182,12 @@ def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
 
 
 def _finding(
-    linearised: Around,
+    linearised: Linearised,
     decision: Decision,
     reasons: Mapping[EffectName, str],
     effects: tuple[NamedEffect, ...],
     floor: Floor,
-    ends: tuple[Left, Left],
+    ends: tuple[Residuals, Residuals],
 ) -> GapFinding:
     """`ends`: what is left before and after."""
     looked, report = linearised.looked, linearised.looked.parts.report
@@ -218,7 +218,7 @@ def _finding(
 
 
 def _borne_out(
-    linearised: Around, decision: Decision, firmer: Collection[EffectName]
+    linearised: Linearised, decision: Decision, firmer: Collection[EffectName]
 ) -> tuple[Decision, Mapping[EffectName, Estimated], Mapping[EffectName, str]]:
     """Without names that the data do not bear out, which become remainders, each with its reason; without blocks that no
     pose that was left out shows.
@@ -253,7 +253,7 @@ def _borne_out(
     return dataclasses.replace(decision, names=names, remainders=remainders), estimates, reasons
 
 
-def _may_be_error_of(linearised: Around, best: Weighed, name: EffectName, nameless: Sequence[int]) -> bool:
+def _may_be_error_of(linearised: Linearised, best: Weighed, name: EffectName, nameless: Sequence[int]) -> bool:
     """Whether blocks without a name explain so much more than a name that their error would pass for it.
 
     A block is no law: what it stands for differs from it by at least as much as the roughest part from its law.
@@ -270,7 +270,7 @@ def _is_nothing(estimate: Estimated) -> bool:
     return not estimate.differs_from(np.zeros_like(estimate.value))
 
 
-def _shows_elsewhere(linearised: Around, best: Weighed, group: tuple[Key, ...]) -> bool:
+def _shows_elsewhere(linearised: Linearised, best: Weighed, group: tuple[Key, ...]) -> bool:
     """Whether the blocks of a remainder that are in the best set help poses that they were not fitted to."""
     present = {linearised.terms[k].key for k, _ in best.members}
     blocks = [key for key in group if isinstance(key, Block) and key in present]
@@ -296,32 +296,32 @@ def _is_new(arm: Arm, name: EffectName, estimate: Estimated) -> bool:
     )
 
 
-def _ordered(linearised: Around, best: Weighed, names: Sequence[EffectName]) -> list[EffectName]:
+def _ordered(linearised: Linearised, best: Weighed, names: Sequence[EffectName]) -> list[EffectName]:
     """By the share that each explains."""
     numbers = {linearised.terms[k].key: k for k, _ in best.members}
     present = [name for name in names if name in numbers]
     return sorted(present, key=lambda name: -share_of(linearised.evidence, best, [numbers[name]]))
 
 
-def _named(linearised: Around, decision: Decision, file: File, name: EffectName, estimate: Estimated, gap: float) -> NamedEffect:
+def _named(linearised: Linearised, decision: Decision, file: File, name: EffectName, total: Estimated, gap: float) -> NamedEffect:
     numbers = {linearised.terms[k].key: k for k, _ in decision.best.members}
-    is_nothing = _is_nothing(estimate)  # without parameters: a stiffness is then anything from some size on
+    is_nothing = _is_nothing(total)  # without parameters: a stiffness is then anything from some size on
     return NamedEffect(
         name,
-        {} if is_nothing else file.parameters(name, estimate.parameters),
+        {} if is_nothing else file.parameters(name, total.parameters),
         gap,
         probability=decision.probability[name],
         share=share_of(linearised.evidence, decision.best, [numbers[name]]),
-        departure=estimate.departure,
-        variable=estimate.variable,
+        departure=total.departure,
+        variable=total.variable,
         is_nothing=is_nothing,
     )
 
 
 def _geometry(file: File) -> Parameters:
     """The DH deviations under the names of docs/formats.md, with standard deviations."""
-    sd = {one.parameter.name: one.sd for one in file.found.estimates}
-    deviation = file.found.deviations.ravel().tolist()
+    sd = {one.parameter.name: one.sd for one in file.identification.estimates}
+    deviation = file.identification.deviations.ravel().tolist()
     return {
         f"link{k // 4 + 1}_{LINK_KEYS[k % 4]}": (deviation[k], sd.get(name, math.nan))
         for k, name in enumerate(dh_names(len(deviation) // 4))

@@ -44,7 +44,7 @@ class File:
     """
 
     arm: Arm
-    found: Identification
+    identification: Identification
     sd: Mapping[str, float]
     fit: Fit
     unshared: File | None = None
@@ -109,7 +109,7 @@ class File:
         # what was identified beside the laws fits maps that do the same; begun anew, beside maps, it may end elsewhere
         as_laws = file(fit, dataclasses.replace(made, effects=others, maps=shared.maps), without)
         anew = file(*identify(with_totals(shared, values), {}, False), without)
-        return min(as_laws, anew, key=lambda candidate: candidate.fit.left().sizes(rows)["tip_m"])
+        return min(as_laws, anew, key=lambda candidate: candidate.fit.residuals().sizes(rows)["tip_m"])
 
     def has(self, name: EffectName) -> bool:
         """Whether the file has the effect: a width or a softness below nought is none."""

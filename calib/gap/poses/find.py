@@ -23,7 +23,7 @@ from calib.gap.poses.linear import Fit, Linear
 from calib.gap.poses.nameless import SKEWED
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split, split
-from calib.gap.poses.state import Around, Looked, State
+from calib.gap.poses.state import Linearised, Looked, State
 from calib.gap.posterior.constants import UNMEASURED, SETTLED_sd
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.search import Search
@@ -49,15 +49,15 @@ def find(arm: Arm, points: Points, advance: Advance = silent, without: Collectio
     return look(_prepared(arm, cleaned(points), without, warnings), advance)
 
 
-def look(prepared: Looked, advance: Advance = silent, told: Told | None = None) -> StaticGap:
-    """The answer of poses whose geometry is fitted; `told` is what other recordings of the arm tell of its effects."""
-    prepared = replace(prepared, told=told)
+def look(prepared: Looked, advance: Advance = silent, prior: Told | None = None) -> StaticGap:
+    """The answer of poses whose geometry is fitted; `prior` is what other recordings of the arm tell of its effects."""
+    prepared = replace(prepared, told=prior)
     linearised, decision = _searched(prepared, advance)
     if skewed := _skewed(prepared.arm, decision):
         # geometry that DH rows do not hold: everything beside it is looked at anew
         arm = functools.reduce(with_tilt_behind, skewed, prepared.arm)
         warnings = (*prepared.warnings, _tilted(arm, skewed))
-        prepared = replace(_prepared(arm, prepared.points, prepared.without, warnings), told=told)
+        prepared = replace(_prepared(arm, prepared.points, prepared.without, warnings), told=prior)
         linearised, decision = _searched(prepared, advance)
     advance("reporting", 0.85)
     return answered(prepared, linearised, decision)
@@ -90,7 +90,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str], warnings: tupl
     scene = PoseScene.of(fitted, replace(fitted, effects=loaded.effects), points, fit.problem.observed.q_rad)
     variants = _laws(scene, without)
     laws = [middle(same) for same in variants]
-    residual = fit.left()
+    residual = fit.residuals()
     first = noise_floor(arm, points, residual)
     scatter_m = _scatter_m(first, residual.tip_m)
     linear = Linear.around(fit, replace(first, tip_m=scatter_m).lever_m, laws)
@@ -98,7 +98,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str], warnings: tupl
     if out.any():
         parts = parts.without(out)
         fit = Fit.to(fit.problem, parts.known)
-        residual = fit.left()
+        residual = fit.residuals()
     floor = noise_floor(arm, points, residual, out)
     if not math.isfinite(floor.tip_m):
         richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, residual.tip_m)
@@ -142,7 +142,7 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
     )
 
 
-def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
+def _searched(looked: Looked, advance: Advance) -> tuple[Linearised, Decision]:
     """Look, linearise anew where the best set settles, with the noise that repeats then show, and look again until a set is the
     best at its own place, or was it before.
     """
@@ -153,9 +153,9 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
         """The values of a set where they settle, by Gauss and Newton's steps."""
         settling = Settling(FITS_MOST)
         while settling.goes_on:
-            linearised = Around.of(state, looked, blocks, keys)
+            linearised = Linearised.of(state, looked, blocks, keys)
             further = linearised.next_state(Search(linearised.evidence, forced).of(keys), state.follows)
-            moved_m = (further.posed().left().tip_m - state.posed().left().tip_m)[looked.parts.known]
+            moved_m = (further.posed().residuals().tip_m - state.posed().residuals().tip_m)[looked.parts.known]
             if settling.takes(float(np.linalg.norm(moved_m)), SETTLED_sd * looked.floor.tip_m):
                 state = further
         return state
@@ -164,7 +164,7 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
     seen: set[frozenset[Key]] = set()
     while True:
         advance("weighing effects", 0.8 - 0.6 / (1.0 + len(seen)))
-        linearised = Around.of(state, looked, blocks)
+        linearised = Linearised.of(state, looked, blocks)
         blocks = linearised.blocks
         search = Search(linearised.evidence, forced)
         sets = search.run(starts)
@@ -175,4 +175,4 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
         seen.add(keys)
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
         state = settled(linearised.next_state(decision.best), keys)
-        looked = looked.refloored(state.posed().left())
+        looked = looked.refloored(state.posed().residuals())

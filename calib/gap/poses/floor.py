@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
-from calib.gap.poses.linear import Left, Linear, Measured
+from calib.gap.poses.linear import Linear, Measured, Residuals
 from calib.gap.poses.recordings import in_turn
 from calib.gap.posterior.constants import AGREE, FAR, OUTLIERS_MOST, CHECKED_sd
 from calib.gap.posterior.term import Term
@@ -52,7 +52,7 @@ class Floor:
         return self.tip_m / self.turn_rad if math.isfinite(self.turn_rad) else 0.0
 
 
-def noise_floor(arm: Arm, points: Points, residual: Left, out: Mask | None = None) -> Floor:
+def noise_floor(arm: Arm, points: Points, residual: Residuals, out: Mask | None = None) -> Floor:
     """From repeats: poses of one point with the same payload and approach; else from the camera's data sheet.
 
     `residual` of any fitted model: what it lacks is the same for all repeats of a point, and drops out. `out` (m,): poses that do

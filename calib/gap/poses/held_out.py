@@ -11,13 +11,13 @@ import numpy.typing as npt
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
 from calib.gap.poses.recordings import in_turn, parts
-from calib.gap.poses.state import Around
+from calib.gap.poses.state import Linearised
 from calib.gap.posterior.constants import FOLDS
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 
 
-def holds_on_others(linearised: Around, best: Weighed, name: EffectName, names: Collection[EffectName]) -> bool:
+def holds_on_others(linearised: Linearised, best: Weighed, name: EffectName, names: Collection[EffectName]) -> bool:
     """Whether recordings that were left out are predicted better with the name than without it: by the set, and by a file that
     has the laws of all `names` and nothing else. One of an ambiguous set is there, whichever it is.
 
@@ -27,7 +27,7 @@ def holds_on_others(linearised: Around, best: Weighed, name: EffectName, names: 
     return all(_helps(linearised, weighed, name, labels) for weighed in (best, _laws_alone(linearised, best, names)))
 
 
-def _laws_alone(linearised: Around, best: Weighed, names: Collection[EffectName]) -> Weighed:
+def _laws_alone(linearised: Linearised, best: Weighed, names: Collection[EffectName]) -> Weighed:
     """The set without blocks, and without how parts depart from their laws."""
     members = []
     for number, scale in best.members:
@@ -39,7 +39,7 @@ def _laws_alone(linearised: Around, best: Weighed, names: Collection[EffectName]
     return dataclasses.replace(best, members=tuple(members))
 
 
-def shows_in_others(linearised: Around, best: Weighed, block: Block) -> bool:
+def shows_in_others(linearised: Linearised, best: Weighed, block: Block) -> bool:
     """Whether the set predicts single poses that were left out better with a block than without it.
 
     What has no name may be of one recording alone; what is there shows in the poses between those that were left out, and
@@ -50,7 +50,7 @@ def shows_in_others(linearised: Around, best: Weighed, block: Block) -> bool:
     return _helps(linearised, best, block, labels.astype(str))
 
 
-def _helps(linearised: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
+def _helps(linearised: Linearised, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
     members = [member for member in best.members if linearised.terms[member[0]].key == key]
     folds = list(_folds(linearised, labels))
     if len(folds) < 2 or not linearised.moves(best, [k for k, _ in members]):
@@ -59,7 +59,7 @@ def _helps(linearised: Around, best: Weighed, key: Key, labels: npt.NDArray[np.s
     return sum(_missed(linearised, best, *fold) for fold in folds) < sum(_missed(linearised, without, *fold) for fold in folds)
 
 
-def _folds(linearised: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
+def _folds(linearised: Linearised, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
     """Poses (m,) that are fitted and those that are left out: every label once, several at a time where there are many."""
     order = in_turn(linearised.looked.points)
     names = list(dict.fromkeys(labels[order[linearised.looked.parts.known[order]]].tolist()))
@@ -68,7 +68,7 @@ def _folds(linearised: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[M
         yield linearised.looked.parts.known & ~out, linearised.looked.parts.known & out
 
 
-def _missed(linearised: Around, weighed: Weighed, fitted: Mask, left_out: Mask) -> float:
+def _missed(linearised: Linearised, weighed: Weighed, fitted: Mask, left_out: Mask) -> float:
     """Sum of squares, in variances of the floor, at poses `left_out` (m,) of a set that was fitted to others."""
     base, columns = linearised.linear.base, linearised.columns([k for k, _ in weighed.members])
     whole = np.hstack((base, columns))

@@ -26,7 +26,7 @@ SHORT = 0.2  # of the longest lever of all poses: the noise of a turn is five ti
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class Residuals:
     """What a model leaves of the tips, (m, 3) [m], and of the orientations, (m, 3) [rad], NaN where there is none."""
 
     tip_m: Array
@@ -81,12 +81,12 @@ class Fit:
         target = None if posed is None else posed.target(x)
         return dataclasses.replace(self, x=x[: len(self.x)], target=target)
 
-    def left(self) -> Left:
+    def residuals(self) -> Residuals:
         """The residuals."""
         turned = np.full((len(self.problem), 3), np.nan)
         if (posed := self.posed()) is not None:
             turned[posed.rows] = posed.angles_rad(self._whole(posed))
-        return Left(self.problem.residuals(self.x), turned)
+        return Residuals(self.problem.residuals(self.x), turned)
 
     def posed(self) -> PosedProblem | None:
         """The problem with its orientations, where there are any."""
@@ -150,14 +150,14 @@ class Measured:
             moved[:, tips:] += self.lever_m * term.turn_rad[:, self._turned]
         return moved
 
-    def left(self, residual: Array) -> Left:
+    def as_residuals(self, residual: Array) -> Residuals:
         """Residuals (R, 3) or (3R,) [m] as what they are of."""
         rows = residual.reshape(-1, 3)
         tips = len(rows) - len(self._turned)
         turned = np.full((tips, 3), np.nan)
         if self.lever_m > 0.0:
             turned[self._turned] = rows[tips:] / self.lever_m
-        return Left(rows[:tips], turned)
+        return Residuals(rows[:tips], turned)
 
     @property
     def _turned(self) -> npt.NDArray[np.intp]:

@@ -16,7 +16,7 @@ from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.linear import Fit, along_joint, by_joints
 from calib.gap.poses.recordings import Split
-from calib.gap.poses.state import Around, Looked
+from calib.gap.poses.state import Linearised, Looked
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Term
 from calib.gap.posterior.told import Told
@@ -62,7 +62,7 @@ class StaticGap:
         return by_joints(Fit(self.problem, self.x, None))[0]
 
 
-def drawn_laws(linearised: Around, best: Weighed, names: Sequence[EffectName], residual_m: Array) -> tuple[DrawnLaw, ...]:
+def drawn_laws(linearised: Linearised, best: Weighed, names: Sequence[EffectName], residual_m: Array) -> tuple[DrawnLaw, ...]:
     """Each of the names over its own variable, of those that move joints, or the tip along one line; residual_m (m, 3): what the
     whole set leaves.
     """
@@ -87,7 +87,7 @@ def drawn_laws(linearised: Around, best: Weighed, names: Sequence[EffectName], r
     return tuple(drawn[name] for name in names if name in drawn)
 
 
-def _variable(linearised: Around, term: Term) -> tuple[Array, str]:
+def _variable(linearised: Linearised, term: Term) -> tuple[Array, str]:
     """The law's own variable at all poses (m,), and its label."""
     points, joint = linearised.looked.points, getattr(term.key, "joint", None)
     if term.variable.startswith("q") and term.variable[1:].isdigit():

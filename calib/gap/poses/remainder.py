@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from calib.arrays import rms
 from calib.gap.effects.catalogue import told_apart_by
 from calib.gap.finding import EffectName, Nameable, OpenQuestion, Remainder, Unknown
-from calib.gap.poses.state import Around
+from calib.gap.poses.state import Linearised
 from calib.gap.posterior.decide import Decision, left_with, share_of
 from calib.gap.posterior.term import Block
 from calib.gap.words import listed
 
 
-def remainders(linearised: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> tuple[Remainder, ...]:
+def remainders(linearised: Linearised, decision: Decision, reasons: Mapping[EffectName, str]) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first: blocks, sets that are ambiguous, laws that do not hold."""
     best = decision.best
     numbers = {linearised.terms[k].key: k for k, _ in best.members}
@@ -33,7 +33,7 @@ def remainders(linearised: Around, decision: Decision, reasons: Mapping[EffectNa
     return tuple(sorted(ranked, key=lambda remainder: -remainder.share))
 
 
-def unknown_part(linearised: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
+def unknown_part(linearised: Linearised, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
     """The remainder without a name that explains most, if there is one."""
     if not decision.remainders:
         return None
@@ -53,7 +53,7 @@ def unknown_part(linearised: Around, decision: Decision, reasons: Mapping[Effect
     return Unknown(where, *_nearest(linearised, decision))
 
 
-def _nearest(linearised: Around, decision: Decision) -> tuple[EffectName | None, float]:
+def _nearest(linearised: Linearised, decision: Decision) -> tuple[EffectName | None, float]:
     """The effect that is not named and explains most beside the names, and its share of what these leave."""
     evidence, best = linearised.evidence, decision.best
     named = tuple(member for member in best.members if linearised.terms[member[0]].key in decision.names)

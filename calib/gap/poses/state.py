@@ -17,7 +17,7 @@ from calib.gap.effects.record import PoseScene, load_of
 from calib.gap.finding import EffectName, effect_of, with_totals
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import Floor, counted_rad, flank_covariance, noise_floor
-from calib.gap.poses.linear import Fit, Left, Linear, by_joints
+from calib.gap.poses.linear import Fit, Linear, Residuals, by_joints
 from calib.gap.poses.nameless import blocks_of
 from calib.gap.poses.recordings import Split
 from calib.gap.posterior.constants import FLOOR_DOUBT
@@ -97,14 +97,14 @@ class Looked:
     warnings: tuple[str, ...]
     told: Told | None = None
 
-    def refloored(self, residual: Left) -> Looked:
+    def refloored(self, residual: Residuals) -> Looked:
         """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
         floor = noise_floor(self.arm, self.points, residual, self.out)
         return dataclasses.replace(self, floor=floor) if math.isfinite(floor.tip_m) else self
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
+class Linearised:
     """All terms around a state, as the evidence of their sets from the poses that are looked at."""
 
     state: State
@@ -118,7 +118,7 @@ class Around:
         return self.evidence.terms
 
     @classmethod
-    def of(cls, state: State, looked: Looked, blocks: Sequence[Term] = (), keys: Collection[Key] | None = None) -> Around:
+    def of(cls, state: State, looked: Looked, blocks: Sequence[Term] = (), keys: Collection[Key] | None = None) -> Linearised:
         """`blocks`: of a look before; `keys`: only these terms."""
         arm, points, floor = looked.bare_arm, looked.points, looked.floor
         scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
@@ -147,16 +147,16 @@ class Around:
             return np.zeros((len(self.linear.y), 0))
         return np.concatenate([self.linear.columns[:, self.linear.places[k]] for k in numbers], axis=1)
 
-    def fitted(self, weighed: Weighed) -> tuple[Array, Left]:
+    def fitted(self, weighed: Weighed) -> tuple[Array, Residuals]:
         """Geometry x (k,) beside a set, and what they leave of all poses."""
         fit, residual = self._solved(weighed)
         return fit.x, residual
 
-    def _solved(self, weighed: Weighed) -> tuple[Fit, Left]:
+    def _solved(self, weighed: Weighed) -> tuple[Fit, Residuals]:
         size, _ = self.evidence.estimate(weighed.members, weighed.kappa)
         move, linear = self.columns([k for k, _ in weighed.members]) @ size, self.linear
         x = linear.geometry(self.looked.parts.known, self.looked.floor.tip_m * weighed.kappa, move)
-        return self.state.fit.at(x), linear.measured.left(linear.y - linear.base @ x - move)
+        return self.state.fit.at(x), linear.measured.as_residuals(linear.y - linear.base @ x - move)
 
     def moved_m(self, weighed: Weighed, numbers: Sequence[int]) -> Array:
         """What the terms `numbers` of a set do to the tips, (m, 3)."""
@@ -167,12 +167,12 @@ class Around:
         moved = self._moved(weighed, numbers)
         return bool(moved.tip_m.any() or np.nan_to_num(moved.turn_rad).any())
 
-    def _moved(self, weighed: Weighed, numbers: Sequence[int]) -> Left:
+    def _moved(self, weighed: Weighed, numbers: Sequence[int]) -> Residuals:
         moved = np.zeros(len(self.linear.y))
         for number, size in self.evidence.sizes(weighed).items():
             if number in numbers:
                 moved += self.columns([number]) @ size
-        return self.linear.measured.left(moved)
+        return self.linear.measured.as_residuals(moved)
 
     def gravity_Nm(self) -> Array | None:
         """Gravity's torques under the loads found, (m, n); None for an arm without masses."""

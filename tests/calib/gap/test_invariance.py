@@ -25,7 +25,7 @@ from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, amperes_per
 from calib.gap.poses.find import find
 from calib.gap.poses.floor import noise_floor
-from calib.gap.poses.linear import Left
+from calib.gap.poses.linear import Residuals
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import parts, split
 from calib.gap.workflow import find_gap, read_recordings
@@ -58,9 +58,9 @@ def test_what_reports_what_is_left_out_in_turn_and_the_noise_are_the_same_poses_
     np.testing.assert_array_equal(second.known, first.known[order])
     unplaced = dataclasses.replace(points, tip_m=np.full(points.tip_m.shape, np.nan))
     np.testing.assert_array_equal(parts(shuffled(unplaced)[0], 5), parts(unplaced, 5)[order])
-    left = Left(np.array(points.tip_m), np.full(points.tip_m.shape, np.nan))
-    same = Left(left.tip_m[order], left.turn_rad)
-    assert noise_floor(arm, other, same).tip_m == pytest.approx(noise_floor(arm, points, left).tip_m, rel=1e-9)
+    residuals = Residuals(np.array(points.tip_m), np.full(points.tip_m.shape, np.nan))
+    same = Residuals(residuals.tip_m[order], residuals.turn_rad)
+    assert noise_floor(arm, other, same).tip_m == pytest.approx(noise_floor(arm, points, residuals).tip_m, rel=1e-9)
 
 
 @cache

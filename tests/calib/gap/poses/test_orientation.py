@@ -14,7 +14,7 @@ from calib.gap.finding import EffectName
 from calib.gap.poses.cautions import UNKNOWN_TURNS, about_orientations
 from calib.gap.poses.find import find
 from calib.gap.poses.floor import Floor, noise_floor
-from calib.gap.poses.linear import Fit, Left, by_joints
+from calib.gap.poses.linear import Fit, Residuals, by_joints
 from calib.gap.posterior.term import Block, Term, on_joint
 from calib.gap.words import in_words
 from calib.validation.verdict import REPEATS_FREEDOM
@@ -92,7 +92,7 @@ def _floor(arm: Arm, is_repeated: bool, pairs_count: int = 32) -> Floor:
         same = np.repeat(np.arange(pairs_count), 2)
         points = points.chosen(same)
     noise = np.random.default_rng(1).normal(0.0, 1.0, (2, len(points), 3))
-    return noise_floor(arm, points, Left(NOISE_m * noise[0], TURN_NOISE_rad * noise[1]))
+    return noise_floor(arm, points, Residuals(NOISE_m * noise[0], TURN_NOISE_rad * noise[1]))
 
 
 def test_the_noise_of_orientations_is_that_of_repeats_else_of_the_data_sheet_else_they_are_not_used() -> None:
@@ -117,7 +117,7 @@ def test_steps_of_encoders_are_in_the_floor_where_angles_were_read_in_whole_coun
     noise = NOISE_m * np.random.default_rng(1).normal(size=(len(fine), 3))
     moved_m = kinematics.tips(counted.q_rad) - kinematics.tips(fine.q_rad)
     of_fine, of_counted = (
-        noise_floor(servos, points, Left(noise, np.full_like(noise, np.nan))).tip_m for points in (fine, counted)
+        noise_floor(servos, points, Residuals(noise, np.full_like(noise, np.nan))).tip_m for points in (fine, counted)
     )
     assert of_fine == pytest.approx(NOISE_m, rel=0.2)
     assert of_counted == pytest.approx(np.hypot(of_fine, np.sqrt(np.mean(moved_m**2))), rel=0.15)
