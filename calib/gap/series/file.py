@@ -124,7 +124,7 @@ class _Laws:
 
     def against(self) -> dict[EffectName, str]:
         """The name that stands least, if one does not, and why."""
-        covariance = self.covariances()
+        covariance = self.stated()  # the interval that is written is the one that must not hold nought
         worst: dict[EffectName, tuple[float, str]] = {}
         for member, place in zip(self.members, self.places, strict=True):
             if not _is_listed(member) or place.start == place.stop:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from calib.gap.residuals.rows import ResidualRows
 from calib.gap.residuals.scene import Curve, OperatingPoint, SeriesScene, SeriesTerm
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.answer import covariance_of_values
-from calib.gap.series.file import jackknife_variance
+from calib.gap.series.file import identified, jackknife_variance
 from calib.gap.series.find import examine, find
 from calib.gap.series.linear import SeriesLinear, refitted, weighed, without_each
 from calib.gap.series.split import split
@@ -53,6 +55,22 @@ def test_a_value_at_the_end_of_its_range_is_known_no_better_for_that() -> None:
     """The coefficient says 9, the law stays at 4: between them nothing tells."""
     found = covariance_of_values(soft(9.0, 0.2))
     assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(0.2, 5.0) * UNIT_rad_Nm)
+
+
+@pytest.mark.parametrize(("of_posterior", "is_dropped"), [(1.2, False), (4.0, True)])
+def test_a_name_whose_written_interval_holds_nought_is_none(of_posterior: float, is_dropped: bool) -> None:
+    """Both values are sure by themselves; what they are apart is part of what is written, 1 +- 3 where they are 1 and 4."""
+    belt = EffectName("belt_coupling", 3)
+    draw = np.random.default_rng(5)
+    columns = draw.standard_normal((400, 1))
+    term = SeriesTerm(belt, law=lambda c: Law(belt, SPRING, (float(c[0]), 0.0, 0.0)), response={0: columns})
+    cell, groups = SimpleNamespace(rows=slice(None)), [np.arange(400) % 4 == k for k in range(4)]
+    scene = SimpleNamespace(cells=[cell], usable=np.ones(400, dtype=bool))
+    linear = SimpleNamespace(y=columns[:, 0] + 0.5 * draw.standard_normal(400))
+    fit: Any = SimpleNamespace(linear=linear, point=SimpleNamespace(scene=scene))
+    parts: Any = SimpleNamespace(groups=groups, deciding=np.ones(400, dtype=bool))
+    member = Member(0, term, np.array([of_posterior]), np.diag([0.2**2]), np.zeros((1, 1)))
+    assert (belt in identified(fit, [member], parts).dropped) == is_dropped
 
 
 @pytest.fixture(scope="module")
