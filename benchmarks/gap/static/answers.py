@@ -9,25 +9,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gap.matrix import Answer, Hidden, Truth, answer
-from benchmarks.gap.static.cases import Design, designed, drawn, drawn_design, drawn_foreign, drawn_pair
+from benchmarks.gap.static.cases import PARAMETER, Design, designed, drawn, drawn_design, drawn_foreign, drawn_pair
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
 
 FIRST_SEED = 3000
 SORTS = ("nothing", "one", "two", "left out", "foreign")
-PARAMETER = {  # of the hidden value
-    "backlash": "width_rad",
-    "joint_compliance": "stiffness_Nm_rad",
-    "encoder_scale": "scale",
-    "encoder_eccentricity": "amplitude_rad",
-    "belt_coupling": "ratio",
-    "thermal_drift": "final_rad",
-    "link_flexure": "EI_Nm2",
-    "base_frame": "x_m",
-    "payload": "mass_kg",
-    "torque_constant": "scale",
-    "link_inertia": "mass_kg",
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,19 @@ from calib.points.points import Points, make_points
 from control.model.arm import Arm, Camera, Drive, Link
 from control.model.description import load_arm
 
+PARAMETER = {  # of the hidden value
+    "backlash": "width_rad",
+    "joint_compliance": "stiffness_Nm_rad",
+    "encoder_scale": "scale",
+    "encoder_eccentricity": "amplitude_rad",
+    "belt_coupling": "ratio",
+    "thermal_drift": "final_rad",
+    "link_flexure": "EI_Nm2",
+    "base_frame": "x_m",
+    "payload": "mass_kg",
+    "torque_constant": "scale",
+    "link_inertia": "mass_kg",
+}
 ARM = load_arm("right")
 NOISE_m, NOISE_A = 0.00014, 0.02
 FRICTION_Nm = np.array([0.9, 0.8, 1.0])  # in the gear, on the motor's side for the most part

@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.arms import FIVE, SIX
 from benchmarks.calibration.chains import ChainModel
 from benchmarks.gap.static import cases
-from benchmarks.gap.static.cases import RIGS, Design, designed
+from benchmarks.gap.static.cases import PARAMETER, RIGS, Design, designed
 from benchmarks.gap.static.physics import Hidden, Rig
-from benchmarks.gap.static.rough_cases import ON_TIP, PARAMETER, Rough, several
+from benchmarks.gap.static.rough_cases import ON_TIP, Rough, several
 from benchmarks.studies import say
 from calib.arm_problem.assembly import BASE, Choice
 from calib.arm_problem.joint_effects import LAWS

@@ -13,24 +13,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gap.static import physics as static_physics
-from benchmarks.gap.static.cases import Design, designed, drawn, drawn_design, drawn_foreign
+from benchmarks.gap.static.cases import PARAMETER, Design, designed, drawn, drawn_design, drawn_foreign
 from benchmarks.gap.static.physics import Hidden, Poses
 from control.model.arm import Arm, Effect
 
 LEAST, MOST = 0.04, 0.12  # of the law
-PARAMETER = {
-    "backlash": "width_rad",
-    "joint_compliance": "stiffness_Nm_rad",
-    "encoder_scale": "scale",
-    "encoder_eccentricity": "amplitude_rad",
-    "belt_coupling": "ratio",
-    "thermal_drift": "final_rad",
-    "link_flexure": "EI_Nm2",
-    "base_frame": "x_m",
-    "payload": "mass_kg",
-    "torque_constant": "scale",
-    "link_inertia": "mass_kg",
-}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,8 @@ from collections import Counter
 
 import numpy as np
 
-from benchmarks.gap.static.rough_cases import PARAMETER, Case, case
+from benchmarks.gap.static.cases import PARAMETER
+from benchmarks.gap.static.rough_cases import Case, case
 from benchmarks.studies import say
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.poses.find import find

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.gap.static.cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidden, case, designed, gravity_Nm
+from benchmarks.gap.static.cases import ARM, DESIGNS, PARAMETER, Design, FRICTION_Nm, Hidden, case, designed, gravity_Nm
 from calib.arm_problem.joint_effects import resting_points
 from calib.arrays import rms
 from calib.gap.finding import EffectName
@@ -18,17 +18,6 @@ HIDDEN = [
     Hidden("base_frame", None, 0.003, 0.01),
     Hidden("payload", None, 0.3),
 ]
-FIRST = {
-    "backlash": "width_rad",
-    "joint_compliance": "stiffness_Nm_rad",
-    "encoder_scale": "scale",
-    "encoder_eccentricity": "amplitude_rad",
-    "belt_coupling": "ratio",
-    "thermal_drift": "final_rad",
-    "link_flexure": "EI_Nm2",
-    "base_frame": "x_m",
-    "payload": "mass_kg",
-}
 
 
 def names(found) -> list[EffectName]:
@@ -43,7 +32,7 @@ def name_of(one: Hidden) -> EffectName:
 def test_a_hidden_effect_is_found_and_its_gap_closes(hidden) -> None:
     found = find(ARM, case(11, (hidden,)))
     assert names(found) == [name_of(hidden)]
-    value, _ = found.finding.effects[-1].parameters[FIRST[hidden.effect]]
+    value, _ = found.finding.effects[-1].parameters[PARAMETER[hidden.effect]]
     assert value == pytest.approx(hidden.value, rel=0.1)
     assert found.finding.gap_explained < 1.1
     # Where a pose does not tell the flank of a loose gear, the file has the middle of its play, as the controller does.
@@ -138,7 +127,7 @@ def test_two_or_three_effects_at_once_are_both_found(pair) -> None:
     assert set(names(found)) == {name_of(one) for one in pair}
     values = {effect.name: effect.parameters for effect in found.finding.effects}
     for one in pair:
-        assert values[name_of(one)][FIRST[one.effect]][0] == pytest.approx(one.value, rel=0.12)
+        assert values[name_of(one)][PARAMETER[one.effect]][0] == pytest.approx(one.value, rel=0.12)
     loose = [one.joint for one in pair if one.effect == "backlash"]
     unclear = np.any([resting_points(found.file, found.points).flank(joint) == 0.0 for joint in loose], axis=0) | np.zeros(
         len(found.points), dtype=bool
