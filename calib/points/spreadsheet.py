@@ -34,9 +34,9 @@ UNITS: Final = (  # as a header says them, the first that is found
     ("in", r"in(ch)?\b"),
 )
 ALONE: Final = r"(?<![^\W\d_])(?:{})(?!\w*\s*/)"  # no mrad, no µm, no deg/s
-JOINT: Final = r"^\W*(?:q|j|a|joint|axis|achse|gelenk|axe|articulation|theta|winkel|angle)[\s_.-]*{}(?!\d)"
+JOINT: Final = r"(?:^|[\W_])(?:(?:q|j|a|joint|axis|achse|gelenk|axe|articulation|theta|winkel|angle)[\W_]*{}|{})(?!\d)"
 COLUMNS: Final = {
-    **{name: rf"^(?:tip|tcp|pos(?:ition)?|mess(?:ung|punkt)?)?[\s_.-]*{name[0]}(?![a-z])" for name in TIP},
+    **{name: rf"(?:^|[\W_]|^tip|^tcp|^pos(?:ition)?)[\W_]*{name[0]}(?![a-z])" for name in TIP},
     "setup": r"^(setup|aufbau|lage|tilt)\b",
     "point": r"^(point|punkt|pose|name|no|nr|id|place|stelle)\b",
     "repeat": r"^(repeat|rep|wiederholung|visit|take)\b",
@@ -119,7 +119,8 @@ def read_sheet(path: Path) -> Spreadsheet:
 def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None) -> Understood:
     """The points of a table. Unclear where it does not tell. `columns`: its names by ours; units None: as its header says."""
     joints = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
-    wanted = {name: JOINT.format(j) for j, name in enumerate(joints, 1)} | COLUMNS
+    named_joints = enumerate(arm.joint_names, 1)
+    wanted = {f"q{j}_rad": JOINT.format(j, re.escape(name.lower())) for j, name in named_joints} | COLUMNS
     if strange := [ours for ours in columns if ours not in wanted]:
         raise PointsFileError(f"--columns {strange[0]}: expected one of {', '.join(wanted)}, and = a name of theirs")
     column_of = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
@@ -136,7 +137,7 @@ def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles:
         point = _poses_again(setup, point, q_rad, notes)
     words = [f'{ours} is "{name}"' for ours, name in column_of.items() if name]
     unused = [name for name in sheet.names if name not in column_of.values()]
-    further = JOINT.format(rf"(?:{arm.joint_count + 1})")
+    further = JOINT.format(arm.joint_count + 1, f"joint {arm.joint_count + 1}")
     if strange := [name for name in unused if re.search(further, name.lower())]:
         raise PointsFileError(
             f'{sheet.path}: column "{strange[0]}" is of joint {arm.joint_count + 1}, arm {arm.name} has {arm.joint_count}:'
@@ -158,7 +159,9 @@ def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, s
         if name not in sheet.names:
             raise PointsFileError(f'{sheet.path}: no column "{name}" for {ours}; it has {", ".join(sheet.names)}')
         return name
-    matches = [name for name in sheet.names if re.search(pattern, name.lower()) and name not in columns.values()]
+    found = {name: re.search(pattern, name.lower()) for name in sheet.names if name not in columns.values()}
+    matches = [name for name, match in found.items() if match and match.start() == 0]  # they begin so; else they hold it
+    matches = matches or [name for name, match in found.items() if match]
     if len(matches) == 1:
         return matches[0]
     if not matches and ours in OPTIONAL:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,20 @@ import pytest
 from calib.errors import PointsFileError
 from calib.points.points import Points
 from calib.points.spreadsheet import Unclear, read_sheet, understood
+from control.model.arm import Arm
 from control.model.description import load_arm
 
 RIGHT = load_arm("right")
+
+
+def with_names(arm: Arm, names: list[str]) -> Arm:
+    """The arm with names of its joints."""
+    left = iter(names)
+    return replace(
+        arm, links=tuple(replace(link, joint_name=next(left)) if link.joint == "revolute" else link for link in arm.links)
+    )
+
+
 NO_ANGLES = ("mrad", "[mdeg]", "deg/s", "[rad / s]", "°/s")
 NO_LENGTHS = ("[µm]", "\N{GREEK SMALL LETTER MU}m", "km", "mm/s")
 GERMAN = "Stelle;Achse 1 [°];Achse 2 [°];Achse 3 [°];X [mm];Y [mm];Z [mm];Prüfer\n"
@@ -39,6 +51,23 @@ def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        "Winkel Achse 1 [°];Winkel Achse 2 [°];Winkel Achse 3 [°];Länge X (mm);Länge Y (mm);Höhe Z (mm)",
+        "joint angle 1 deg;joint angle 2 deg;joint angle 3 deg;X mm;Y mm;Z mm;Force X;Force Y;Force Z",
+        "q[1] deg;q[2] deg;q[3] deg;measured_x_mm;measured_y_mm;measured_z_mm;max mm",
+        "base.pos deg;upper_arm.pos deg;forearm.pos deg;TCP.X mm;TCP.Y mm;TCP.Z mm",
+    ],
+)
+def test_a_column_may_have_other_words_around_its_name_and_joints_the_arm_s_names(names: str, tmp_path: Path) -> None:
+    arm = with_names(RIGHT, ["base", "upper_arm", "forearm"])
+    (tmp_path / "t.csv").write_text(f"{names}\n{';'.join(map(str, range(1, 2 + names.count(';'))))}\n", encoding="utf-8")
+    points = understood(read_sheet(tmp_path / "t.csv"), arm, {}, None, None).points
+    np.testing.assert_allclose(points.q_rad[0], np.radians([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(points.tip_m[0], [4e-3, 5e-3, 6e-3])
+
+
+@pytest.mark.parametrize(
     ("header", "asks", "choices"),
     [
         *((f"q1 {unit};q2 {unit};q3 {unit};x mm;y mm;z mm", f"the unit of q1 {unit}", ("rad", "deg")) for unit in NO_ANGLES),
@@ -48,6 +77,7 @@ def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> 
         ("q1 deg;q2 rad;q3 deg;x mm;y mm;z mm", "the unit of q1 deg, q2 rad, q3 deg", ("rad", "deg")),
         ("a deg;q2 deg;q3 deg;x mm;y mm;z mm", "which column is q1_rad: answer with --columns q1_rad=", ("a deg",)),
         ("q1 deg;q2 deg;q3 deg;x mm;y mm;z mm;x mm soll", "which column is x_m", ("x mm", "x mm soll")),
+        ("q1 deg;q2 deg;q3 deg;set x mm;is x mm;y mm;z mm", "which column is x_m", ("set x mm", "is x mm")),
     ],
 )
 def test_what_a_header_does_not_tell_is_asked_with_what_it_may_be(
