@@ -64,7 +64,8 @@ class JointDriver:
         self.scale = 1.0  # true joint angle over the draft's; measured meanwhile
         self._motor_sign, self._encoder_sign = wiring.motor_direction, wiring.encoder_direction
         self._weight_V = 0.0  # the integral of a joint that turns
-        self._barred = math.nan  # the direction in which an active limit switch was met; 0 while none is
+        self._is_at_limit: bool | None = None  # whether a limit switch was active, at the last look
+        self._barred, self._barred_rad = 0.0, math.inf  # the direction in which one was met, and where it was active last
         self._per_count = abs(JointMap(drive).radians_per_count)
         self._zero_count = bench.observe(0.02).counts[self.channel]
 
@@ -140,14 +141,20 @@ class JointDriver:
         return run
 
     def _is_barred(self, sample: Sample, sign: float) -> bool:
-        """Whether it moves further into a limit switch: as it met it, or, from the start, to the end that the draft names."""
+        """Whether it moves further into a limit switch: as it met it, or, from the start, to the end that the draft names.
+
+        A joint that comes to rest beside the edge that it has just left may act on that switch once more: no other is so near.
+        """
         active = sample.limits.get(self.drive.joint, 0)
+        was_at_limit, self._is_at_limit = self._is_at_limit, bool(active)
         if not active:
-            self._barred = 0.0
-        elif math.isnan(self._barred):
+            return False
+        where_rad = self.angle_rad(sample.counts[self.channel])
+        if was_at_limit is None:
             self._barred = -1.0 if active & LOWER_LIMIT else 1.0
-        elif not self._barred:
+        elif not was_at_limit and abs(where_rad - self._barred_rad) > BACK_OFF_RAD:
             self._barred = sign
+        self._barred_rad = where_rad
         return self._barred == sign
 
     def _row(self, sample: Sample) -> tuple[float, float, float, float, float]:

@@ -87,6 +87,21 @@ def test_a_survey_finds_boards_that_changed_places_signs_and_a_joint_that_is_stu
     assert 'board "vesc3" (output 1) (joint 3 in the draft): STUCK JOINT' in said
 
 
+def test_a_joint_that_swings_back_onto_the_switch_which_it_left_goes_on_to_its_other_end(tmp_path: Path) -> None:
+    """Joint 1 has no weight that keeps it beside the edge; its lower switch is also its home."""
+    draft = with_drive(
+        on_boards(RIGHT, "roboclaw"),
+        1,
+        joint_lower_rad=-0.4,
+        joint_upper_rad=0.4,
+        limit_switches=LimitSwitches("drive", ""),
+        home=Home(-0.4, -0.4, speed_rad_s=0.1, switch="lower"),
+    )
+    outcome, arm = brought(tmp_path, draft, BringupOptions((1,), None, 0.3, True))
+    assert outcome.problems == []
+    assert arm.drives[0].joint_upper_rad == pytest.approx(0.4, abs=0.01)
+
+
 def test_mixed_boards_are_refused_before_anything_moves(tmp_path: Path) -> None:
     with pytest.raises(ArmError, match=r"all take a voltage, or all close the position loop"):
         brought(tmp_path, on_boards(RIGHT, "mixed"), SURVEY)
