@@ -322,8 +322,9 @@ def _place_index(result: Diagnosis, measured: JointMeasurements, home: Home, off
         result.figures["index_read_rad"] = read_rad
         if abs(read_rad - index_rad) > TURN_TOLERANCE * turn_rad:
             index_rad = round(read_rad, 4)
+            what = "index" if measured.has_index else "switch"
             result.changes.append(
-                f"{name}: INDEX MOVED: the readings put its index at {math.degrees(read_rad):.2f} deg, the draft at"
+                f"{name}: {what.upper()} MOVED: the readings put its {what} at {math.degrees(read_rad):.2f} deg, the draft at"
                 f" {math.degrees(home.index_rad):.2f} deg (one turn of the encoder is {math.degrees(turn_rad):.2f} deg):"
                 f" index_rad = {index_rad:g}; calibration refines the zero"
             )

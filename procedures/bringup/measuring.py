@@ -434,37 +434,41 @@ def _stops(driver: JointDriver, operator: BringupOperator, joint: int, measured:
 def _creep(driver: JointDriver, measured: JointMeasurements, distance_rad: float, speed_rad_s: float) -> DrivenMotion:
     """A slow motion that records the home switch and, in the search direction, the index behind it.
 
-    The joint stops at the switch, because arming the index requires an answer of the board.
+    The joint stops at the switch only where the index is to be armed, which requires an answer of the board.
     """
     direction = 1 if distance_rad > 0.0 else -1
     left_rad = abs(distance_rad)
     while True:
-        run = driver.turn(direction * left_rad, speed_rad_s, _switch_changes(measured, direction))
+        run = driver.turn(direction * left_rad, speed_rad_s, _index_is_next(driver, measured, direction))
         _note_flags(run, measured)
         left_rad -= abs(run.travelled_rad)
         if run.end is not MotionEnd.SEEN:
             return run
-        edge_rad = _edge(run) / driver.scale
-        is_active = bool(run.flags[-1] & HOME_SWITCH)
-        measured.edges.append((edge_rad, direction, is_active))
-        home = driver.drive.home
-        forth = 1 if home is None else round(home.sense)
-        if not measured.has_index and is_active and direction == forth:
-            measured.index_rad = edge_rad
-        elif is_active and direction == forth and math.isnan(measured.index_rad):
-            left_rad -= _index_behind(driver, measured, direction)
+        left_rad -= _index_behind(driver, measured, direction)
         if left_rad <= 0.0:
             return run
 
 
-def _switch_changes(measured: JointMeasurements, direction: int) -> Callable[[DrivenMotion, object], bool]:
-    def has_changed(run: DrivenMotion, sample: object) -> bool:
-        is_active = bool(run.flags[-1] & HOME_SWITCH)
-        if not measured.is_home_active or is_active not in measured.is_home_active:
-            measured.is_home_active.append(is_active)
-        return len(run.flags) > 1 and bool(run.flags[-2] & HOME_SWITCH) != is_active
+def _index_is_next(driver: JointDriver, measured: JointMeasurements, direction: int) -> Callable[[DrivenMotion, object], bool]:
+    """Records each change of the home switch; true at the one behind which the index is looked for."""
+    home = driver.drive.home
+    forth = 1 if home is None else round(home.sense)
 
-    return has_changed
+    def is_next(run: DrivenMotion, sample: object) -> bool:
+        is_active = bool(run.flags[-1] & HOME_SWITCH)
+        if is_active not in measured.is_home_active:
+            measured.is_home_active.append(is_active)
+        if len(run.flags) < 2 or bool(run.flags[-2] & HOME_SWITCH) == is_active:
+            return False
+        edge_rad = _edge(run) / driver.scale
+        measured.edges.append((edge_rad, direction, is_active))
+        if not is_active or direction != forth:
+            return False
+        if not measured.has_index:
+            measured.index_rad = edge_rad
+        return math.isnan(measured.index_rad)
+
+    return is_next
 
 
 def _edge(run: DrivenMotion) -> float:
