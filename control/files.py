@@ -67,9 +67,9 @@ def read_bytes(path: Path, most_bytes: int = TEXT_MOST_bytes) -> bytes:
     raise NotReadable(errno.EFBIG, f"{1e-6 * size:.0f} MB, expected at most {1e-6 * most_bytes:.0f} MB", str(path))
 
 
-def read_text(path: Path, encoding: str = "utf-8", most_bytes: int = TEXT_MOST_bytes) -> str:
-    """As `read_bytes`, as text with line ends as written by Python. Raises UnicodeDecodeError, too."""
-    return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+def read_text(path: Path) -> str:
+    """As `read_bytes`, as text without a byte-order mark, line ends as written by Python. Raises UnicodeDecodeError, too."""
+    return read_bytes(path).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parsed_json(text: str | bytes) -> Any:

@@ -103,7 +103,7 @@ def _text_of(path: Path) -> str:
     try:
         return read_text(path)
     except UnicodeDecodeError as error:
-        raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}") from None
+        raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}", "save it as UTF-8") from None
     except OSError as error:
         got = f"an error: {error.strerror or type(error).__name__}"
         supplied = f"supplied arms: {', '.join(arm_names())}"

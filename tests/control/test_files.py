@@ -21,6 +21,7 @@ from control.files import (
     make_whole,
     make_whole_folder,
     open_to_append,
+    read_text,
     require_writable,
     write_whole,
 )
@@ -55,6 +56,11 @@ def test_the_folder_of_a_file_is_made_with_it(tmp_path: Path) -> None:
 def test_text_is_utf_8_whatever_the_locale_says(tmp_path: Path) -> None:
     write_whole(tmp_path / "Prüfung.txt", "3 °C ± 1 µm")
     assert (tmp_path / "Prüfung.txt").read_bytes() == "3 °C ± 1 µm".encode()
+
+
+def test_text_of_a_windows_editor_is_read_as_the_same_text(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes(b'\xef\xbb\xbfname = "a"\r\nlines = 2\r\n')
+    assert read_text(tmp_path / "a.toml") == 'name = "a"\nlines = 2\n'
 
 
 def test_a_writer_that_is_interrupted_leaves_no_file(tmp_path: Path) -> None:
