@@ -298,22 +298,23 @@ def _each(
     says: str,
     inject: Inject,
     codes: str,
-    within_s: float = 0.3,
     most: Most = HOLDS,
     during: tuple[str, ...] = (REST, MOVE, SESSION),
+    **promised: Any,
 ) -> Iterator[Promise]:
-    """The same fault at rest, in motion and in a session."""
+    """The same fault at rest, in motion and in a session; `promised`: what else the drills are told."""
     expected = frozenset(codes.split())
+    promised |= {"says": says, "codes": expected, "inject": inject}
     for moment in during:
         most_mm = {REST: most.rest_mm, SESSION: most.session_mm}.get(moment, most.move_mm)
         full = f"{name}-{SUFFIX[moment]}"
         if moment != SESSION:
-            yield Drill(full, says, moment, expected, within_s, most_mm, inject)
+            yield Drill(full, during=moment, most_mm=most_mm, **promised)
             continue
-        yield SessionDrill(full, says, moment, expected, within_s, most_mm, inject)
+        yield SessionDrill(full, during=moment, most_mm=most_mm, **promised)
         if name in ALSO_MEASURING:
-            most_mm = most_mm if not expected else max(most_mm, RELEASED_mm)
-            yield SessionDrill(f"{name}-measuring", says, "measuring", expected, within_s, most_mm, inject, True)
+            most_mm = max(most_mm, RELEASED_mm) if expected else most_mm
+            yield SessionDrill(f"{name}-measuring", during="measuring", most_mm=most_mm, while_measuring=True, **promised)
 
 
 def _frames() -> Iterator[Promise]:
@@ -329,10 +330,8 @@ def _frames() -> Iterator[Promise]:
                 continue  # CAN's own CRC: a board does not see them
             says = f"{share * 100:.0f} % of the frames of {of} {word}"
             yield from _each(f"{name}-{word}", says, fault(kind, board, probability=share, **value), "")
-    late = fault("delay_frames", "encoder", value=0.03)
-    yield from _each("serial-late", "encoder reports 30 ms late", late, "encoder_stale")
-    late = fault("delay_frames", "motor2", value=0.03)
-    yield from _each("can-late", "replies 30 ms late", late, "drive_silent")
+    yield from _each("serial-late", "encoder reports 30 ms late", fault("delay_frames", "encoder", value=0.03), "encoder_stale")
+    yield from _each("can-late", "replies 30 ms late", fault("delay_frames", "motor2", value=0.03), "drive_silent")
     yield from _each("serial-noise", "noise between the encoder's frames", serial_noise(40), "")
     yield from _each("can-flood", "20 foreign frames a cycle", can_flood(20), "")
 
@@ -341,35 +340,22 @@ def _buses() -> Iterator[Promise]:
     yield from _each("serial-gone", "serial port vanishes", serial_gone, "link")
     yield from _each("bus-off", "CAN bus off", bus_off, "link")
     yield from _each("bus-full", "CAN transmit buffer full", can_full, "link")
-    says = "a device at a wrong bit rate on the bus"
-    yield from _each("bit-rate", says, wrong_bit_rate, "link")
-    says = "another board with the id of motor board 2"
-    yield from _each("same-id", says, second_board(1), "link", most=BRAKES)
+    yield from _each("bit-rate", "a device at a wrong bit rate on the bus", wrong_bit_rate, "link")
+    yield from _each("same-id", "another board with the id of motor board 2", second_board(1), "link", BRAKES)
     says = "another program commands 6 V to motor board 2"
-    yield from _each("another-host", says, another_host(2, 6.0), "link", most=BRAKES, during=(REST, MOVE))
+    yield from _each("another-host", says, another_host(2, 6.0), "link", BRAKES, (REST, MOVE))
 
 
 def _boards() -> Iterator[Promise]:
-    yield from _each(
-        "encoder-reset", "encoder board restarts", fault("board_reset", "encoder"), "link", during=(REST, MOVE, HOME, SESSION)
-    )
+    every = (REST, MOVE, HOME, SESSION)
+    yield from _each("encoder-reset", "encoder board restarts", fault("board_reset", "encoder"), "link", during=every)
     yield from _each("motor-reset", "motor board 2 restarts", fault("board_reset", "motor2"), "drive_left", most=BRAKES)
-    yield from _each(
-        "encoder-silent",
-        "encoder board unplugged",
-        fault("silent", "encoder"),
-        "encoder_stale",
-        during=(REST, MOVE, HOME, SESSION),
-    )
-    yield from _each(
-        "motor-silent", "motor board 2 unplugged", fault("silent", "motor2"), "drive_silent", during=(REST, MOVE, HOME, SESSION)
-    )
+    yield from _each("encoder-silent", "encoder board unplugged", fault("silent", "encoder"), "encoder_stale", during=every)
+    yield from _each("motor-silent", "motor board 2 unplugged", fault("silent", "motor2"), "drive_silent", during=every)
     for board, most in (("encoder", HOLDS), ("motor2", BRAKES)):
         swapped = both(fault("board_reset", board), fault("wrong_identity", board, value=4711))
         name, says = f"{board.rstrip('2')}-swapped", f"another {board.rstrip('2')} board is plugged in"
-        for drill in _each(name, says, swapped, "link", during=(REST, MOVE), most=most):
-            assert isinstance(drill, Drill)
-            yield replace(drill, is_refused=True)
+        yield from _each(name, says, swapped, "link", most, (REST, MOVE), is_refused=True)
     wire = fault("lost_wire", "encoder", channel=1)
     yield from _each("encoder-wire", "encoder wire broken", wire, "encoder_signal", most=BRAKES)
     skipped = fault("quadrature_error", "encoder", channel=1)
@@ -378,15 +364,12 @@ def _boards() -> Iterator[Promise]:
 
 def _gripper() -> Iterator[Promise]:
     """With an object in the gripper."""
-    gone, reset, trip = (fault(kind, "motor4") for kind in ("silent", "board_reset", "over_current"))
-    during = (REST, MOVE)
-    for drill in (
-        *_each("gripper-silent", "gripper's board unplugged", gone, "gripper_silent", during=during),
-        *_each("gripper-reset", "gripper's board restarts", reset, "gripper_link", during=during),
-        *_each("gripper-over-current", "gripper's board trips", trip, "gripper_drive", during=during),
+    for name, says, kind, code in (
+        ("silent", "gripper's board unplugged", "silent", "gripper_silent"),
+        ("reset", "gripper's board restarts", "board_reset", "gripper_link"),
+        ("over-current", "gripper's board trips", "over_current", "gripper_drive"),
     ):
-        assert isinstance(drill, Drill)
-        yield replace(drill, has_gripper=True)
+        yield from _each(f"gripper-{name}", says, fault(kind, "motor4"), code, during=(REST, MOVE), has_gripper=True)
 
 
 def _encoders() -> Iterator[Promise]:
@@ -394,7 +377,7 @@ def _encoders() -> Iterator[Promise]:
     for rate in (2_000.0, 20_000.0):
         name, says = f"drift-{rate:.0f}", f"counts of joint 1 drift by {rate:,.0f} a second"
         inject = fault("drifting_encoder", "encoder", channel=0, value=rate)
-        yield from _each(name, says, inject, "encoder_contradicted encoders_differ index_off", 1.0, most=BRAKES)
+        yield from _each(name, says, inject, "encoder_contradicted encoders_differ index_off", BRAKES, within_s=1.0)
     for counts, code in ((400.0, "overspeed"), (5_000.0, "encoder_leap")):
         inject = fault("jumping_encoder", "encoder", channel=0, value=counts)
         yield from _each(f"jump-{counts:.0f}", f"{counts:,.0f} counts gained at once", inject, code, most=BRAKES)
@@ -409,16 +392,8 @@ def _encoders() -> Iterator[Promise]:
     inject = fault("backwards_encoder", "encoder", channel=0)
     yield from _each("backwards", "joint 1 counts backwards", inject, LYING, most=BRAKES, during=moving)
     yield Drill("wrap-motion", "the counter of joint 1 wraps in its travel (16 bits)", MOVE, GOES_ON, most_mm=3.0, arm=_narrow)
-    inject = fault("silent", "encoder")
-    yield Drill(
-        "unseen-motion",
-        "encoder board with 16-bit counters unplugged for 2 s",
-        MOVE,
-        frozenset({"encoder_stale"}),
-        most_mm=HOLDS.move_mm,
-        inject=inject,
-        arm=_narrow,
-    )
+    says, inject = "encoder board with 16-bit counters unplugged for 2 s", fault("silent", "encoder")
+    yield from _each("unseen", says, inject, "encoder_stale", during=(MOVE,), arm=_narrow)
 
 
 def _two_encoders() -> Iterator[Promise]:
@@ -426,19 +401,11 @@ def _two_encoders() -> Iterator[Promise]:
     slips = fault("drifting_encoder", "encoder", channel=0, value=SLIP_rad_s * JOINT_COUNTS / math.tau)
     stands = fault("stuck_encoder", "motor1")
     says = f"the encoder on joint 1 slips by {SLIP_rad_s:g} rad/s, too slowly for other checks"
-    for drill in (
-        *_each("joint-encoder-slips", says, slips, "encoders_differ", 0.8, BRAKES, (REST, MOVE)),
-        *_each(
-            "motor-encoder-stuck",
-            "counts of motor 1 stand, those on the joint do not",
-            stands,
-            "encoders_differ",
-            most=BRAKES,
-            during=(MOVE,),
-        ),
-    ):
-        assert isinstance(drill, Drill)
-        yield replace(drill, arm=_on_both_sides)
+    yield from _each(
+        "joint-encoder-slips", says, slips, "encoders_differ", BRAKES, (REST, MOVE), within_s=0.8, arm=_on_both_sides
+    )
+    says = "counts of motor 1 stand, those on the joint do not"
+    yield from _each("motor-encoder-stuck", says, stands, "encoders_differ", BRAKES, (MOVE,), arm=_on_both_sides)
 
 
 def _on_both_sides(arm: Arm) -> Arm:
@@ -456,9 +423,8 @@ def _limit_switches() -> Iterator[Promise]:
         ("limit-switch", "the limit switch ahead of joint 1 is met, or its wire breaks", "high"),
         ("limit-switch-crossed", "the same, wired to the other end", "low"),
     ):
-        yield Drill(
-            f"{name}-motion", says, MOVE, frozenset({"limit_switch"}), most_mm=2.0, inject=_pressed(pin), arm=_with_limit_switches
-        )
+        most = Most(2.0, 2.0, 2.0)
+        yield from _each(name, says, _pressed(pin), "limit_switch", most, (MOVE,), arm=_with_limit_switches)
 
 
 def _with_limit_switches(arm: Arm) -> Arm:
@@ -482,21 +448,18 @@ def _narrow(arm: Arm) -> Arm:
 
 
 def _motors() -> Iterator[Promise]:
-    yield from _each(
-        "stalled", "motor 1 without current", fault("dead_motor", "motor1"), LYING, most=BRAKES, during=(MOVE, SESSION)
-    )
+    yield from _each("stalled", "motor 1 without current", fault("dead_motor", "motor1"), LYING, BRAKES, (MOVE, SESSION))
     yield from _each("runaway", "polarity of motor 2 swapped", fault("swapped_polarity", "motor2"), LYING, most=BRAKES)
     says, jammed = "the gear of joint 1 jams", fault("stuck_joint", "motor1")
     yield from _each("jammed", says, jammed, RESISTED, most=YIELDS, during=(MOVE, HOME, SESSION))
     says = "3 kg of unstated payload at the tip"
     yield from _each("payload", says, payload(3.0), "unexplained_torque", most=YIELDS)
-    trip = "motor board 2 trips"
     inject = fault("over_current", "motor2")
     # Not in a session: the mock has no table, through which the arm would fall.
-    yield from _each("over-current", f"{trip}: over-current", inject, "drive_fault", most=FALLS, during=(REST, MOVE))
+    yield from _each("over-current", "motor board 2 trips: over-current", inject, "drive_fault", most=FALLS, during=(REST, MOVE))
     inject = fault("over_temperature", "motor2")
     every = (REST, MOVE, HOME, SESSION)
-    yield from _each("over-temperature", f"{trip}: over-temperature", inject, "drive_fault", most=BRAKES, during=every)
+    yield from _each("over-temperature", "motor board 2 trips: over-temperature", inject, "drive_fault", BRAKES, every)
     inject = fault("supply", *MOTORS, value=5.0)
     yield from _each("supply-drop", "supply falls to 5 V", inject, "drive_fault supply", most=BRAKES)
     for kind, value, code in (
@@ -515,7 +478,7 @@ def _host() -> Iterator[Promise]:
         codes = "loop_late" if pause_s > 0.18 else ""
         yield from _each(f"pause-{pause_s * 1e3:.0f}", says, away(pause_s), codes)
     killed = away(1.9)
-    yield from _each("killed", "loop killed, another 1.9 s later", killed, "drive_fault", 2.0)
+    yield from _each("killed", "loop killed, another 1.9 s later", killed, "drive_fault", within_s=2.0)
     for step_s in (-3600.0, 3600.0):
         name = "clock-back" if step_s < 0.0 else "clock-ahead"
         says = f"time of day stepped by {step_s / 3600.0:+.0f} h"
@@ -525,7 +488,7 @@ def _host() -> Iterator[Promise]:
         yield Drill(name, says, MOVE, GOES_ON, most_mm=2.0, inject=stop_at(delay_s))
     yield from _each("brake", "brake pressed", brake, "brake", most=BRAKES, during=(MOVE, HOME))
     says = "guided by hand with gravity compensation and 1.5 kg of unstated payload, and let go"
-    yield from _each("guided-payload", says, let_go(1.5), "guided_too_fast", 0.5, FALLS, (REST,))
+    yield from _each("guided-payload", says, let_go(1.5), "guided_too_fast", FALLS, (REST,), within_s=0.5)
     yield Drill("stop-homing", "stop pressed while homing", HOME, GOES_ON, most_mm=2.0, inject=stop_at(0.2))
 
 
@@ -534,9 +497,8 @@ def _requests() -> Iterator[Promise]:
     yield from _each("nonsense", "40 requests with wrong types, NaN, values out of range", refused(NONSENSE), "", during=every)
     yield from _each("contradiction", "requests that do not fit what goes on", refused(CONTRADICTING), "", during=(MOVE, HOME))
     yield from _each("two-clients", "a second client commands", refused(COMMANDS, GUEST), "", during=(MOVE, HOME))
-    yield from _each(
-        "table-in-the-way", "moves that would meet the table, the floor or the base", refused(MEETING), "", during=(REST,)
-    )
+    says = "moves that would meet the table, the floor or the base"
+    yield from _each("table-in-the-way", says, refused(MEETING), "", during=(REST,))
     yield from _each("singularity", "lines out of reach, and through a singularity", unplanned(UNREACHABLE), "", during=(REST,))
 
 

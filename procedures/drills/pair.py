@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import msgspec
@@ -308,76 +308,24 @@ class PairDrill(drill.Promise):
     @staticmethod
     def all() -> Iterator[PairDrill]:
         """Every drill of two arms."""
-        trips = frozenset({"drive_fault"})
-        gone = frozenset({"encoder_stale", "link"})
-        yield PairDrill(
-            "over-temperature-pair",
-            "a motor board of the left arm trips",
-            PAIR,
-            trips,
-            inject=fault_of("left", "over_temperature", "motor2"),
-        )
-        yield PairDrill("stop-pair", "stop pressed at the right arm", PAIR, frozenset(), most_mm=2.0)
-        yield PairDrill("client-gone-pair", "the client of both dies", PAIR, frozenset(), most_mm=2.0, inject=client_gone)
-        yield PairDrill(
-            "revoke-pair",
-            "control of the right arm revoked by another client",
-            PAIR,
-            frozenset(),
-            most_mm=2.0,
-            begin=both_move_slowly,
-            inject=ended_at_one(do="control", revoke=True),
-            watched_s=JOGGED_S,
-        )
-        yield PairDrill(
-            "meeting-pair",
-            "moves that would meet the other arm",
-            drill.REST,
-            frozenset(),
-            most_mm=2.0,
-            begin=right_in_the_middle,
-            inject=refused_ways,
-        )
-        yield PairDrill(
-            "itself-rest",
-            "an arm moved, and jogged, onto itself",
-            drill.REST,
-            frozenset(),
-            most_mm=JOGGED_mm,
-            begin=one_holds,
-            inject=folded,
-            cell=thick_arm,
-            watched_s=JOGGED_S,
-        )
-        yield PairDrill(
-            "jogged-into-pair",
-            "an arm jogged towards the other",
-            drill.REST,
-            frozenset(),
-            most_mm=JOGGED_mm,
-            begin=right_in_the_middle,
-            inject=jogged_into,
-            watched_s=JOGGED_S,
-        )
-        yield PairDrill(
-            "guided-into-pair",
-            "a hand guides an arm into the way of the other",
-            "one moves",
-            frozenset({"collision"}),
-            within_s=JOGGED_S,
-            most_mm=JOGGED_mm,
-            begin=left_goes_to_the_middle,
-            inject=guided_into,
-            watched_s=JOGGED_S,
-        )
-        yield PairDrill(
-            "leader-unplugged-pair",
-            "the left arm's encoder board unplugged, the right one follows it",
-            PAIR,
-            gone,
-            begin=one_follows,
-            inject=fault_of("left", "silent", "encoder"),
-        )
+        goes_on = partial(PairDrill, codes=drill.GOES_ON, most_mm=2.0)
+        jogged = partial(PairDrill, during=drill.REST, codes=drill.GOES_ON, most_mm=JOGGED_mm, watched_s=JOGGED_S)
+        says, trips = "a motor board of the left arm trips", frozenset({"drive_fault"})
+        yield PairDrill("over-temperature-pair", says, PAIR, trips, inject=fault_of("left", "over_temperature", "motor2"))
+        yield goes_on("stop-pair", "stop pressed at the right arm", PAIR)
+        yield goes_on("client-gone-pair", "the client of both dies", PAIR, inject=client_gone)
+        says, revoked = "control of the right arm revoked by another client", ended_at_one(do="control", revoke=True)
+        yield goes_on("revoke-pair", says, PAIR, begin=both_move_slowly, inject=revoked, watched_s=JOGGED_S)
+        says = "moves that would meet the other arm"
+        yield goes_on("meeting-pair", says, drill.REST, begin=right_in_the_middle, inject=refused_ways)
+        yield jogged("itself-rest", "an arm moved, and jogged, onto itself", begin=one_holds, inject=folded, cell=thick_arm)
+        yield jogged("jogged-into-pair", "an arm jogged towards the other", begin=right_in_the_middle, inject=jogged_into)
+        says, meets = "a hand guides an arm into the way of the other", frozenset({"collision"})
+        met = partial(jogged, during="one moves", codes=meets, within_s=JOGGED_S)
+        yield met("guided-into-pair", says, begin=left_goes_to_the_middle, inject=guided_into)
+        says, gone = "the left arm's encoder board unplugged, the right one follows it", frozenset({"encoder_stale", "link"})
+        unplugged = fault_of("left", "silent", "encoder")
+        yield PairDrill("leader-unplugged-pair", says, PAIR, gone, begin=one_follows, inject=unplugged)
 
 
 @contextmanager
