@@ -228,10 +228,10 @@ class Dashboard:
         scene = drawing.DrawnScene([], [], self._skeleton.board)
         if status["is_homed"]:
             scene = self._skeleton.scene(status["joint_rad"], selected and selected - 1, is_stale)
-        for name, draw in (("side", drawing.side_view), ("top", drawing.top_view)):
+        for name, axes in (("side", drawing.SIDE), ("top", drawing.TOP)):
             columns, rows = room(name)
             if columns > 8 and rows > 2:
-                yield name, draw(scene, columns, rows, self._skeleton.reach_m)
+                yield name, drawing.view(scene, axes, columns, rows, self._skeleton.reach_m)
 
     def _drawn_plots(self, room: PanelSize) -> Iterator[Drawn]:
         for name, (series, plot) in self._plots.items():

@@ -146,41 +146,9 @@ class Canvas:
 
 _PLAIN_TERMS = ("linux", "ansi", "vt100", "vt102", "vt220", "dumb")  # no braille in their fonts
 _BY_DOTS = " .:-+*oO#"  # a braille character by its number of dots
-_SIGNS = {
-    "−": "-",
-    "·": ".",
-    "●": "o",
-    "■": "#",
-    "◆": "*",
-    "▸": ">",
-    "↻": "~",
-    "→": ">",
-    "←": "<",
-    "°": " ",
-    "±": "+",
-    "│": "|",
-    "┃": "|",
-    "─": "-",
-    "━": "-",
-    "╺": "-",
-    "╸": "-",
-    "▁": "_",
-    "▔": "-",
-    "▕": "|",
-    "▏": "|",
-    "┤": "+",
-    "├": "+",
-    "└": "+",
-    "┼": "+",
-    "╭": "+",
-    "╮": "+",
-    "╰": "+",
-    "╯": "+",
-    "┌": "+",
-    "┐": "+",
-    "┘": "+",
-}
-_TABLE = str.maketrans(_SIGNS | {chr(0x2800 + cell): _BY_DOTS[cell.bit_count()] for cell in range(256)})
+_SIGNS = "−·●■◆▸↻→←°±│┃─━╺╸▁▔▕▏┤├└┼╭╮╰╯┌┐┘"
+_THEIR_ASCII = "-.o#*>~>< +||----_-||+++++++++++"
+_TABLE = str.maketrans(_SIGNS, _THEIR_ASCII) | {_EMPTY + cell: _BY_DOTS[cell.bit_count()] for cell in range(256)}
 
 
 def ascii_of(text: str) -> str:
@@ -384,17 +352,8 @@ class Skeleton:
         return DrawnScene([*corners, self._kinematics.tip(*q_rad)], joints, self.board)
 
 
-def side_view(scene: DrawnScene, columns: int, rows: int, reach_m: float) -> list[Row]:
-    """View along the y axis: x to the right, z up; the ground is a line."""
-    return _view(scene, columns, rows, reach_m, SIDE)
-
-
-def top_view(scene: DrawnScene, columns: int, rows: int, reach_m: float) -> list[Row]:
-    """View from above: x to the right, y up."""
-    return _view(scene, columns, rows, reach_m, TOP)
-
-
-def _view(scene: DrawnScene, columns: int, rows: int, reach_m: float, axes: tuple[int, int]) -> list[Row]:
+def view(scene: DrawnScene, axes: tuple[int, int], columns: int, rows: int, reach_m: float) -> list[Row]:
+    """From the side (SIDE: x to the right, z up, the ground a line) or from above (TOP: x to the right, y up)."""
     canvas = Canvas(columns, rows)
     place, dots_m = _placed(canvas, scene, axes, reach_m)
     _draw_axes(canvas, place, dots_m, axes)

@@ -14,7 +14,9 @@ import pytest
 from console.screen.app import ArmAtDesk, ConsoleApp, Files
 from console.screen.drawing import (
     BINS,
+    SIDE,
     THEME,
+    TOP,
     BIN_s,
     DrawnScene,
     History,
@@ -25,9 +27,8 @@ from console.screen.drawing import (
     axis_end,
     is_plain,
     plot_rows,
-    side_view,
     text_of,
-    top_view,
+    view,
     width_of,
 )
 from console.screen.texts import events_between, headline, joint_rows, status_rows, tip_row
@@ -100,8 +101,8 @@ def test_no_joint_is_beyond_its_range_before_homing_tells_where_it_is() -> None:
     assert "!+9.0000" in known
     assert "!" not in unknown
     assert unknown.count("not homed") == 3
-    views = (view(DrawnScene([], [], []), 23, 8, 0.5) for view in (side_view, top_view))
-    assert all("pose not known" in text_of(view) for view in views)
+    views = (view(DrawnScene([], [], []), axes, 23, 8, 0.5) for axes in (SIDE, TOP))
+    assert all("pose not known" in text_of(rows) for rows in views)
 
 
 def test_a_runtime_that_does_not_tell_ages_shows_no_joint_as_stale() -> None:
@@ -172,20 +173,20 @@ def test_joints_on_one_line_are_told_apart_by_their_signs() -> None:
 # ---- pictures and plain terminals
 
 
-@pytest.mark.parametrize("view", [side_view, top_view])
+@pytest.mark.parametrize("axes", [SIDE, TOP])
 @pytest.mark.parametrize(("columns", "rows"), [(18, 5), (38, 16), (60, 30)])
-def test_a_view_fills_its_room_and_names_axes_joints_and_tip(view: Any, columns: int, rows: int) -> None:
+def test_a_view_fills_its_room_and_names_axes_joints_and_tip(axes: tuple[int, int], columns: int, rows: int) -> None:
     scene = Skeleton(RIGHT).scene([0.3, -0.5, 0.4], 0, [False] * 3)
-    drawn = view(scene, columns, rows, 0.9)
+    drawn = view(scene, axes, columns, rows, 0.9)
     assert [width_of(spans) for spans in drawn] == [columns] * rows
     text = text_of(drawn)
-    assert all(sign in text for sign in ("x", "z" if view is side_view else "y", "1", "3", "◆"))
+    assert all(sign in text for sign in ("x", "z" if axes == SIDE else "y", "1", "3", "◆"))
 
 
 @pytest.mark.parametrize("columns", range(14, 60))
 def test_the_numbers_of_an_axis_are_whole_and_have_their_sign(columns: int) -> None:
     scene = Skeleton(RIGHT).scene([0.0, 0.0, math.pi], 0, [False] * 3)  # folded back over the base
-    words = text_of(side_view(scene, columns, 16, 0.9)).split()
+    words = text_of(view(scene, SIDE, columns, 16, 0.9)).split()
     numbers = [float(word) for word in words if "." in word]
     assert numbers == sorted(set(numbers))
 
@@ -194,7 +195,7 @@ def test_every_sign_of_the_console_has_a_likeness_in_ascii() -> None:
     status = status_of(encoder_stale_s=[None, 2.0, None])
     scene = Skeleton(RIGHT).scene([0.3, -0.5, 0.4], 0, [False] * 3)
     plot = Plot([[math.sin(n / 9.0), 0.1, -0.5] for n in range(BINS)], "123", 0, 1.0)
-    drawn = [*joint_rows(status, RIGHT, "J1", 120), *side_view(scene, 40, 16, 0.9), *plot_rows(plot, 60, 9)]
+    drawn = [*joint_rows(status, RIGHT, "J1", 120), *view(scene, SIDE, 40, 16, 0.9), *plot_rows(plot, 60, 9)]
     text = ascii_of(text_of(drawn))
     assert text.isascii()
     assert "?" not in text.replace("J2?", "")
