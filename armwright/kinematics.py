@@ -29,7 +29,7 @@ class Kinematics:
         self._inverse = InverseKinematics(arm)
         self._forward = self._inverse.kinematics
         self._posed = PoseInverse(arm, self._inverse.poses)
-        self._rest_rad = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+        self._rest_rad = arm.rest_rad
         self.joint_count = arm.joint_count
 
     def forward(self, joint_rad: ArrayLike) -> Array:

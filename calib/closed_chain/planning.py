@@ -47,7 +47,7 @@ class SharedRoom:
     """Whether two arms are clear of each other and of themselves, with a margin."""
 
     def __init__(self, cell: Cell, pair: tuple[Placed, Placed]) -> None:
-        self.rest_rad: Poses = [_rest_rad(placed.arm) for placed in pair]
+        self.rest_rad: Poses = [placed.arm.rest_rad for placed in pair]
         self._bodies = tuple(ArmBody(placed, cell.tool_length_m) for placed in pair)
         self._pairs = pairs_between(*self._bodies)
         self._own_pairs = [_apart(body, q_rad) for body, q_rad in zip(self._bodies, self.rest_rad, strict=True)]
@@ -141,10 +141,6 @@ class _Back:
             return self._inverse.nearest(back.tolist(), q_rad)
         except ArmError:
             return None
-
-
-def _rest_rad(arm: Arm) -> Sequence[float]:
-    return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
 
 DRAWN = 6000  # poses of the first arm; one in ten gives a contact

@@ -202,7 +202,7 @@ def visiting_order(arm: Arm, planned: Points, setups: Sequence[str], boards: Ite
     """
     standing = list(boards)
     order: list[int] = []
-    last = np.array(arm.rest.q_rad if arm.rest is not None else np.zeros(arm.joint_count))
+    last = np.array(arm.rest_rad)
     for setup in [*setups, FREE]:
         rows = [k for k, name in enumerate(planned.setup) if name == setup]
         if not rows:

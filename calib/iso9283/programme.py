@@ -69,7 +69,6 @@ def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
     """
     inverse = InverseKinematics(arm)
     limits = [(lower + margin_rad, upper - margin_rad) for lower, upper in arm.limits_rad]
-    rest = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
     def checked(q: tuple[float, ...]) -> tuple[float, ...]:
         if not all(lower <= a <= upper for a, (lower, upper) in zip(q, limits, strict=True)):
@@ -77,7 +76,7 @@ def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
         return q
 
     if not inverse.has_branches:
-        yield lambda point: checked(inverse.nearest(point_of(point), rest))
+        yield lambda point: checked(inverse.nearest(point_of(point), arm.rest_rad))
         return
     for branch in BRANCHES:
         yield lambda point, branch=branch: checked(inverse.solve(point_of(point), branch))  # type: ignore[misc]

@@ -395,7 +395,7 @@ class WayOfStops:
     @property
     def travel_rad(self) -> float:
         """Sum of the largest joint travels from the rest pose over all points."""
-        here, total = _rest(self.arm), 0.0
+        here, total = np.array(self.arm.rest_rad), 0.0
         for row in self.order:
             stops = [self.lead_in_rad[row]] if self.has_lead_in[row] else []
             for there in (*stops, self.poses.q_rad[row]):
@@ -435,12 +435,12 @@ class _StopsSearch(WaySearch[WayOfStops]):
 
     def _as_given(self) -> WayOfStops:
         """In the file's order, each in the posture that is nearest to the one before, straight from there."""
-        inverse, here, q = InverseKinematics(self._arm), _rest(self._arm), []
+        inverse, here, q = InverseKinematics(self._arm), np.array(self._arm.rest_rad), []
         for point in self._given.points:
             here = np.array(inverse.nearest(point, tuple(here.tolist())))
             q.append(here)
         nearest = np.array(q)
-        sides = np.sign(np.diff(nearest, axis=0, prepend=_rest(self._arm)[None]))
+        sides = np.sign(np.diff(nearest, axis=0, prepend=[self._arm.rest_rad]))
         return self._way(self._arm, self._given, NOWHERE, nearest, sides, np.zeros(len(nearest), dtype=bool))
 
     def _best_at(self, shift_m: Vector3) -> WayOfStops | None:
@@ -489,14 +489,10 @@ class _StopsSearch(WaySearch[WayOfStops]):
         """A short way through all points, if they may be visited in any order; lead-ins keep the sides."""
         if not (self._freedom.any_order and way.has_lead_in.all()):
             return way
-        q = np.vstack((_rest(way.arm), way.poses.q_rad))
-        entry = np.vstack((_rest(way.arm), way.lead_in_rad))
+        q = np.vstack((way.arm.rest_rad, way.poses.q_rad))
+        entry = np.vstack((way.arm.rest_rad, way.lead_in_rad))
         ways = np.abs(entry[None, :] - q[:, None]).max(axis=2)
         ways = 0.5 * (ways + ways.T) + DETOUR_RAD * ~clear_ways(way.arm, q, ())
         order = tuple(k - 1 for k in short_path(ways)[1:])
         found = WayOfStops(way.arm, way.waypoints, way.shift_m, order, way.poses, way.has_lead_in, way.cost)
         return found if found.travel_rad < way.travel_rad else way
-
-
-def _rest(arm: Arm) -> Array:
-    return np.array(arm.rest.q_rad if arm.rest is not None else np.zeros(arm.joint_count))

@@ -235,7 +235,7 @@ class InverseKinematics:
         self.kinematics = ForwardKinematics(arm)
         self._name = arm.name
         self._range = JointRange(arm)
-        self._rest = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+        self._rest = arm.rest_rad
         self._elbow_margin_rad = elbow_margin_rad
         self._shoulder_margin_m = shoulder_margin_m
         self._singular_margin_m = singular_margin_m

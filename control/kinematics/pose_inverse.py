@@ -215,7 +215,7 @@ class PoseInverse:
         self._name = arm.name
         self._range = JointRange(arm)
         self._limits = np.array(arm.limits_rad)
-        self._rest = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
+        self._rest = arm.rest_rad
         self._tasks = {turned: task_of(self.kinematics, turned) for turned in (False, True)}
 
     def task(self, has_orientation: bool) -> Task:

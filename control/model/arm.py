@@ -379,6 +379,11 @@ class Arm:
         return min((self.kind_of(drive).usual_rate_Hz for drive in self.motors), default=REFERENCE.usual_rate_Hz)
 
     @property
+    def rest_rad(self) -> tuple[float, ...]:
+        """The rest pose [rad]; all joints at zero where none is given."""
+        return self.rest.q_rad if self.rest is not None else (0.0,) * self.joint_count
+
+    @property
     def limits_rad(self) -> tuple[tuple[float, float], ...]:
         """Lower and upper limit of every joint [rad]; infinite if no drive gives one."""
         ranges = {drive.joint: (drive.joint_lower_rad, drive.joint_upper_rad) for drive in self.drives}

@@ -169,8 +169,7 @@ class _Planner:
 
     def starts(self, q_near_rad: Sequence[float] | None) -> Iterator[following.PathStart]:
         """Poses to begin in, the nearest first; by default those near the rest pose."""
-        rest = self._arm.rest.q_rad if self._arm.rest else (0.0,) * self._arm.joint_count
-        return islice(self._follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
+        return islice(self._follower.starts(self._arm.rest_rad if q_near_rad is None else q_near_rad), _STARTS)
 
     def recipe(self, speeds: float | Sequence[float] | None, pace_m_s: float) -> TimedWaypoints:
         """The way-points with their times, as asked for."""

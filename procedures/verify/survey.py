@@ -387,7 +387,7 @@ class Survey:
         self.model = model
         self._programme = programme
         self._file = file
-        q_near_rad = model.arm.rest.q_rad if model.arm.rest else (0.0,) * model.arm.joint_count
+        q_near_rad = model.arm.rest_rad
         self._poses = poses_at(programme.places, model, q_near_rad)
         angles = [pose.q_rad or () for pose in self._poses]
         near = angles[0] if angles else q_near_rad
