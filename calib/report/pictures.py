@@ -9,7 +9,8 @@ import numpy as np
 
 from calib.arrays import Array, norms
 from calib.report.page import AFTER, BEFORE, NAMES, PLANNED, label_plane, svg
-from calib.validation.verify import Comparison, ErrorSummary, Track, TrackPair
+from calib.validation.statistics import ErrorSummary
+from calib.validation.verify import Comparison, Track, TrackPair
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,18 +21,8 @@ from calib.report.page import Cell, Section, bullets, escaped, folded, heading, 
 from calib.report.pictures import histogram_picture, path_picture, setup_picture, vector_picture
 from calib.results import InputFile, Provenance, entries, write_json
 from calib.validation.holdout import HeldOut
-from calib.validation.statistics import Difference, ErrorSummary, PairedFinding, digits_mm
-from calib.validation.verify import (
-    ALL,
-    PARTS,
-    Comparison,
-    SetupComparison,
-    TrackPair,
-    TurnComparison,
-    compare_tracks,
-    findings,
-    improvement_percent,
-)
+from calib.validation.statistics import Difference, ErrorSummary, PairedFinding, digits_mm, improvement_percent
+from calib.validation.verify import ALL, PARTS, Comparison, SetupComparison, TrackPair, TurnComparison, compare_tracks, findings
 from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm

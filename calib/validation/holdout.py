@@ -19,6 +19,7 @@ from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.points.points import Points, seen_again
+from calib.validation.statistics import improvement_percent
 
 FOLDS_COUNT = 5
 GROUPS_PER_FOLD = 3
@@ -84,8 +85,7 @@ class HeldOut:
     @property
     def improvement_percent(self) -> float:
         """100 (before - after) / before of the means; negative if worse."""
-        before = float(np.mean(self.before_m))
-        return 100.0 * (1.0 - float(np.mean(self.after_m)) / before) if before > 0.0 else 0.0
+        return improvement_percent(float(np.mean(self.before_m)), float(np.mean(self.after_m)))
 
     def without(self, rows: Collection[int]) -> HeldOut | None:
         """The folds without these points; None if nothing is left."""

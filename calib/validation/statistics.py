@@ -101,6 +101,11 @@ def summarise(errors_m: Array) -> ErrorSummary:
     )
 
 
+def improvement_percent(before_m: float, after_m: float) -> float:
+    """100 (before - after) / before; 0 where there was no error before."""
+    return 100.0 * (1.0 - after_m / before_m) if before_m > 0.0 else 0.0
+
+
 def difference(before_m: Array, after_m: Array) -> Difference:
     """Paired difference of distances (m,) at the same points."""
     each = before_m - after_m

@@ -25,7 +25,7 @@ from calib.errors import CalibrationError
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.results import input_file
-from calib.validation.statistics import Difference, ErrorSummary, difference, mean_half_width, summarise
+from calib.validation.statistics import Difference, ErrorSummary, difference, improvement_percent, mean_half_width, summarise
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model import table as tables
@@ -227,22 +227,6 @@ def parts_of(track: Track) -> tuple[Array, Array]:
     return planned, error
 
 
-# Before and after, on points that calibration did not use: SpringerPlus 5:1771, Tables 4 and 6.
-
-
-__all__ = [
-    "ALL",
-    "Comparison",
-    "ErrorSummary",
-    "SetupComparison",
-    "compare",
-    "compare_repeated",
-    "comparison_text",
-    "findings",
-    "improvement_percent",
-    "summarise",
-]
-
 ALL = "all"
 
 
@@ -311,36 +295,15 @@ class Comparison:
         return tuple(self.of(name) for name in names)
 
 
-def improvement_percent(before_m: float, after_m: float) -> float:
-    """100 (before - after) / before; 0 where there was no error before."""
-    return 100.0 * (1.0 - after_m / before_m) if before_m > 0.0 else 0.0
-
-
-def compare(
-    setup: Sequence[str],
-    point: Sequence[str],
-    tip_m: Array,
-    before_m: Array,
-    after_m: Array,
-    before_half_width_m: Array | None = None,
-    after_half_width_m: Array | None = None,
-) -> Comparison:
+def compare(setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array) -> Comparison:
     """Compare errors; CalibrationError if the arrays do not match or are not finite."""
     shapes = {np.shape(tip_m), np.shape(before_m), np.shape(after_m), (len(setup), 3), (len(point), 3)}
     if len(shapes) != 1 or not len(setup):
         raise CalibrationError(f"names, tips and errors: expected equal shapes and at least one point, got {sorted(shapes)}")
     if not all(np.isfinite(values).all() for values in (tip_m, before_m, after_m)):
         raise CalibrationError("a tip or an error is not a finite number: remove points that were not measured")
-    unknown = np.full(len(setup), np.nan)
-    return Comparison(
-        tuple(setup),
-        tuple(point),
-        frozen(tip_m),
-        frozen(before_m),
-        frozen(after_m),
-        frozen(unknown if before_half_width_m is None else before_half_width_m),
-        frozen(unknown if after_half_width_m is None else after_half_width_m),
-    )
+    unknown = frozen(np.full(len(setup), np.nan))
+    return Comparison(tuple(setup), tuple(point), frozen(tip_m), frozen(before_m), frozen(after_m), unknown, unknown)
 
 
 def compare_repeated(setup: Sequence[str], point: Sequence[str], tip_m: Array, before_m: Array, after_m: Array) -> Comparison:
@@ -351,24 +314,21 @@ def compare_repeated(setup: Sequence[str], point: Sequence[str], tip_m: Array, b
     rows: dict[tuple[str, str], list[int]] = {}
     for row, name in enumerate(zip(setup, point, strict=True)):
         rows.setdefault(name, []).append(row)
-    before = [_of_repeats(before_m[k]) for k in rows.values()]
-    after = [_of_repeats(after_m[k]) for k in rows.values()]
-    return compare(
-        [name for name, _ in rows],
-        [name for _, name in rows],
-        np.array([tip_m[k].mean(axis=0) for k in rows.values()]),
-        np.array([mean for mean, _ in before]),
-        np.array([mean for mean, _ in after]),
-        np.array([half for _, half in before]),
-        np.array([half for _, half in after]),
-    )
+    groups = list(rows.values())
+    setups, points = [name for name, _ in rows], [name for _, name in rows]
+    tips = np.array([tip_m[k].mean(axis=0) for k in groups])
+    (before, before_half), (after, after_half) = (_of_repeats(errors_m, groups) for errors_m in (before_m, after_m))
+    compared = compare(setups, points, tips, before, after)
+    return replace(compared, before_half_width_m=before_half, after_half_width_m=after_half)
 
 
-def _of_repeats(errors_m: Array) -> tuple[Array, float]:
-    """Mean of error vectors (k, 3), and half the 95 % interval of its length."""
-    mean = errors_m.mean(axis=0)
-    length = float(np.linalg.norm(mean))
-    return mean, mean_half_width(errors_m @ (mean / length)) if length > 0.0 else math.nan
+def _of_repeats(errors_m: Array, groups: Sequence[list[int]]) -> tuple[Array, Array]:
+    """Mean error vectors (p, 3) of groups of rows, and half the 95 % intervals of their lengths (p,)."""
+    means = np.array([errors_m[k].mean(axis=0) for k in groups])
+    lengths = [float(np.linalg.norm(mean)) for mean in means]
+    along = zip(groups, means, lengths, strict=True)
+    halves = [mean_half_width(errors_m[k] @ (mean / length)) if length > 0.0 else math.nan for k, mean, length in along]
+    return means, frozen(np.array(halves))
 
 
 def comparison_text(comparison: Comparison) -> str:

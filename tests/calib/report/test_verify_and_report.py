@@ -19,7 +19,7 @@ from calib.report.pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import ReportData, dh_section, parameters_section, report_html, write_report
 from calib.results import InputFile, Provenance, input_file
 from calib.validation.holdout import Fold, HeldOut
-from calib.validation.statistics import PairedFinding, difference, student_t
+from calib.validation.statistics import PairedFinding, difference, student_t, summarise
 from calib.validation.verify import (
     PARTS,
     Track,
@@ -30,7 +30,6 @@ from calib.validation.verify import (
     comparison_text,
     findings,
     parts_of,
-    summarise,
 )
 from control.errors import ArmError
 from control.model.description import load_arm
