@@ -5,7 +5,6 @@ offset 0 magic b"AWCM", 4 version u8 = 1, 5 flags u8 (bit 0: visible), 6 source 
 """
 
 import math
-import socket
 from dataclasses import dataclass
 from struct import Struct, error
 
@@ -58,20 +57,3 @@ class CameraReceiver(FrameListener[CameraFrame]):
     def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
         """Listen on `port` of the interface with address `host`; port 0 takes any free one."""
         super().__init__(UdpListener("camera", port, interface=host), unpack)
-
-
-class CameraSender:
-    """Sends camera frames: for bridges to real cameras, and for mocks."""
-
-    def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
-        """Send to UDP `port` of `host`."""
-        self._address = (host, port)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-    def send_frame(self, frame: CameraFrame) -> None:
-        """Send one frame. Raises MisuseError for a frame that cannot be encoded."""
-        self._socket.sendto(frame.pack(), self._address)
-
-    def close(self) -> None:
-        """Stop sending."""
-        self._socket.close()

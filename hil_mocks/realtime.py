@@ -164,11 +164,6 @@ class RealTimeRig(MockProcess):
         self.can_options, self.camera_port = ports.can_options, ports.camera_port
         self.hand: MockHand = _Hand(self)
 
-    @property
-    def encoder_url(self) -> str:
-        """Path of the (first) encoder board's port."""
-        return self.encoder_urls[0]
-
     def tip_m(self) -> Point:
         """True tip."""
         x, y, z = self.ask("truth")["tip_m"]

@@ -85,8 +85,6 @@ class SimulatedArm(MockPorts, Protocol):
     @property
     def clock(self) -> Clock: ...
     @property
-    def encoder_url(self) -> str: ...
-    @property
     def hand(self) -> MockHand: ...
     def tip_m(self) -> Point: ...
     def joint_rad(self) -> tuple[float, ...]: ...
@@ -163,11 +161,6 @@ class SteppedRig(Closing):
         paths = [wire.path for wire in self.wires.serial]
         self._name_ports(paths)
         self.clock: Clock = SteppedClock(self.robot, self.wires)
-
-    @property
-    def encoder_url(self) -> str:
-        """Path of the (first) encoder board's port."""
-        return self.encoder_urls[0]
 
     @property
     def hand(self) -> MockHand:

@@ -83,7 +83,7 @@ class _Urdf:
     def _links(self, root: Element) -> dict[str, Element]:
         links: dict[str, Element] = {}
         for element in root.all("link"):
-            name = self._attribute(element, "name", "link")
+            name = self._name(element)
             if name in links:
                 raise self._error(element, f"a second link {name}")
             links[name] = element
@@ -97,7 +97,7 @@ class _Urdf:
         """By child: its parent, its pose there, and the joint."""
         joints: dict[str, tuple[str, Array, TreeJoint | None]] = {}
         for element in root.all("joint"):
-            name = self._attribute(element, "name", "joint")
+            name = self._name(element)
             parent, child = (self._end(element, name, which, links) for which in ("parent", "child"))
             if child in joints:
                 raise self._error(element, f"joint {name}: link {child} has a second parent")
@@ -216,10 +216,10 @@ class _Urdf:
             raise self._error(element, f"<{element.tag}> {key}: expected 3 numbers, got {len(parts)}")
         return np.array([self._finite(element, key, part, rule) for part in parts])
 
-    def _attribute(self, element: Element, key: str, what: str) -> str:
-        if not element.attributes.get(key):
-            raise self._error(element, f"a {what} without {key}")
-        return element.attributes[key]
+    def _name(self, element: Element) -> str:
+        if not element.attributes.get("name"):
+            raise self._error(element, f"a {element.tag} without name")
+        return element.attributes["name"]
 
     def _number(self, element: Element | None, key: str, default: float, rule: Rule | None = None) -> float:
         if element is None or key not in element.attributes:

@@ -133,13 +133,11 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
     ), warnings
 
 
-def contact_points(
-    setup: Sequence[str], name: Sequence[str], q_rad: Array, distance_m: Sequence[float], direction: Array | None = None
-) -> Points:
-    """Contacts as the points of a file: q_rad (m, n1 + n2) as the encoders say, direction likewise."""
+def contact_points(setup: Sequence[str], name: Sequence[str], q_rad: Array, distance_m: Sequence[float]) -> Points:
+    """Contacts as the points of a file: q_rad (m, n1 + n2) as the encoders say."""
     extra = {DISTANCE: tuple(f"{distance:g}" for distance in distance_m)}
     nowhere = np.full((len(name), 3), np.nan)
-    return make_points(setup, name, [1] * len(name), q_rad, nowhere, direction, extra=extra)
+    return make_points(setup, name, [1] * len(name), q_rad, nowhere, extra=extra)
 
 
 def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:

@@ -259,11 +259,11 @@ def pair_of(cell: Cell, asked: Sequence[str] | None = None) -> tuple[str, str]:
 
 
 def plan_contacts(
-    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], count: int, plan: PairPlan | None = None, drawn: int = DRAWN
+    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], count: int, drawn: int = DRAWN
 ) -> ContactPlan:
     """Plan `count` contacts. CalibrationError if the arms can meet at fewer places."""
     first, second = (cell.placed(name).arm for name in names)
-    arms, base, plan = (first, second), base_of(cell, names), plan or PairPlan()
+    arms, base, plan = (first, second), base_of(cell, names), PairPlan()
     offers = contact_candidates(cell, names, distances_m, drawn)
     if len(offers.contacts) < count:
         raise CalibrationError(

@@ -53,10 +53,10 @@ class Cost:
 class Judge:
     """Costs of ways by one prediction; all are judged by the same drawn arms."""
 
-    def __init__(self, predictor: Predictor, seed: int = 0) -> None:
+    def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor
         posterior = predictor.posterior
-        self._off = (posterior.draws(DRAWS, seed) - posterior.mean).T
+        self._off = (posterior.draws(DRAWS, 0) - posterior.mean).T
 
     def squares_m2(self, poses: Conditions) -> Array:
         """Expected squared distance of one visit at each pose (m,)."""

@@ -48,7 +48,7 @@ class PoseFigures:
     measured_repeatability_m: float | None
 
 
-def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path, seed: int = 0) -> tuple[PoseFigures, ...]:
+def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path) -> tuple[PoseFigures, ...]:
     """Of every pose of the plain programmes in points.csv of `armwright iso9283`."""
     groups, _ = pose_groups(points, arm, path)
     keys = list(zip(points.setup, points.point, strict=True))
@@ -61,7 +61,7 @@ def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path, see
         at = Conditions.recorded(arm, visits)
         bent = known_bending(arm, at.q_rad, at.payload_kg)
         wanted = group.commanded_m - (0.0 if bent is None else bent.shift)
-        off = _drawn(predictor, at, wanted, seed)
+        off = _drawn(predictor, at, wanted)
         attained, n = group.attained_m, len(group.attained_m)
         figures.append(
             PoseFigures(
@@ -76,10 +76,10 @@ def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path, see
     return tuple(figures)
 
 
-def _drawn(predictor: Predictor, at: Conditions, commanded_m: Array, seed: int) -> Array:
+def _drawn(predictor: Predictor, at: Conditions, commanded_m: Array) -> Array:
     """Attained minus commanded position (3,) or (m, 3) of each draw and visit, (DRAWS, m, 3)."""
     error, columns, posterior = predictor.at(at), predictor.columns(at), predictor.posterior
-    drawn, rng = posterior.draws(DRAWS, seed), np.random.default_rng(seed + 1)
+    drawn, rng = posterior.draws(DRAWS, 0), np.random.default_rng(1)
     same = (drawn - posterior.mean) @ columns.reshape(-1, columns.shape[2]).T
     measuring_m2 = max(0.0, posterior.noise_m**2 - predictor.repeat_m**2)
     scatter = np.linalg.cholesky(predictor.seated_m2(at) + (measuring_m2 + 1e-18) * np.eye(3))

@@ -31,10 +31,10 @@ def listening(args: argparse.Namespace) -> ArmClient:
     return ArmClient(SocketChannel(default_path(load_arm(args.arm).name), served_by=served_by))
 
 
-def connected(args: argparse.Namespace, arm: Arm | None = None) -> ArmClient:
-    """As `listening`, for what depends on `arm` (that of the command line). AnotherArm if the runtime has another."""
+def connected(args: argparse.Namespace) -> ArmClient:
+    """As `listening`, for what depends on the arm of the command line. AnotherArm if the runtime has another."""
     client = listening(args)
-    client.require_arm(arm or load_arm(args.arm))
+    client.require_arm(load_arm(args.arm))
     return client
 
 

@@ -222,23 +222,19 @@ class Solution:
     within_limits: bool
 
 
+# Required distances from singular poses; for arms of another structure, the least tip travel per radian in the weakest direction.
+ELBOW_MARGIN_rad, SHOULDER_MARGIN_m = 0.05, 0.01
+SINGULAR_MARGIN_m = 0.005
+
+
 class InverseKinematics:
-    """Joint angles for tip positions of one arm, to 1e-9 m; to 0.1 mm where the tip moves on a surface (`moves_freely`).
+    """Joint angles for tip positions of one arm, to 1e-9 m; to 0.1 mm where the tip moves on a surface (`moves_freely`)."""
 
-    `elbow_margin_rad` and `shoulder_margin_m` are the required distances from singular poses; for arms
-    of another structure, `singular_margin_m` is the least tip travel per radian in the weakest direction.
-    """
-
-    def __init__(
-        self, arm: Arm, elbow_margin_rad: float = 0.05, shoulder_margin_m: float = 0.01, singular_margin_m: float = 0.005
-    ) -> None:
+    def __init__(self, arm: Arm) -> None:
         self.kinematics = ForwardKinematics(arm)
         self._name = arm.name
         self._range = JointRange(arm)
         self._rest = arm.rest_rad
-        self._elbow_margin_rad = elbow_margin_rad
-        self._shoulder_margin_m = shoulder_margin_m
-        self._singular_margin_m = singular_margin_m
         self._planar = planar_inverse(self.kinematics)
         self._followed_to: tuple[Sequence[float] | None, Branch] = (None, BRANCHES[0])
         if self._planar is not None:
@@ -398,10 +394,10 @@ class InverseKinematics:
             shoulder_m = -shoulder_m
         if branch.elbow == "down":
             elbow_rad = -elbow_rad
-        if not shoulder_m >= self._shoulder_margin_m:
-            limit, pose = self._shoulder_margin_m, "having the tip on axis 1"
+        if not shoulder_m >= SHOULDER_MARGIN_m:
+            limit, pose = SHOULDER_MARGIN_m, "having the tip on axis 1"
             raise errors.near_singular(self._name, point, "shoulder", shoulder_m, limit, "m", pose)
-        limit = self._elbow_margin_rad
+        limit = ELBOW_MARGIN_rad
         if not elbow_rad >= limit:
             raise errors.near_singular(self._name, point, "elbow", elbow_rad, limit, "rad", "stretched")
         if not pi - elbow_rad >= limit:
@@ -450,6 +446,6 @@ class InverseKinematics:
         if not self.moves_freely:
             return
         weakest = float(np.linalg.svd(self.kinematics.tip_jacobian(*q)[1], compute_uv=False)[-1])
-        limit, pose = self._singular_margin_m, "losing a direction of motion"
+        limit, pose = SINGULAR_MARGIN_m, "losing a direction of motion"
         if weakest < limit:
             raise errors.near_singular(self._name, target, "arm", weakest, limit, "m/rad", pose)

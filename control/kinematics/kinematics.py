@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from control.errors import ArmError, MissingModel
+from control.errors import MissingModel
 from control.kinematics import chain
 from control.kinematics.chain import tips_and_dh_jacobian
 from control.kinematics.tracing import KEPT, Graph, Scalar, Symbol, compile_function, derivative, shared
@@ -22,33 +22,12 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 class ForwardKinematics:
-    """Forward kinematics of an arm's tip. Lengths in m, angles in rad, everything in the base frame. Equal where the numbers are.
+    """Forward kinematics of an arm's tip. Lengths in m, angles in rad, all in the base frame. Equal where the numbers are."""
 
-    Args:
-        arm_or_dh: an Arm, or a DH table (links, 4) with columns d, theta, L, alpha.
-        convention: of a DH table, "standard" or "modified"; an Arm has its own.
-        joints: of a DH table, for each link whether its joint turns; all by default.
-        tool_m: of a DH table, the tip in the last frame.
-    """
-
-    def __init__(
-        self,
-        arm_or_dh: Arm | ArrayLike,
-        convention: Convention = "standard",
-        joints: Sequence[bool] | None = None,
-        tool_m: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:
-        if isinstance(arm_or_dh, Arm):
-            arm = arm_or_dh
-            self.dh, self.convention, self.joints = arm.dh, arm.dh_convention, arm.joints
-            self.tool_m: Vector3 = arm.tool.position_m
-        else:
-            self.dh = np.array(arm_or_dh, dtype=np.float64)
-            self.convention = convention
-            self.joints = tuple(joints) if joints is not None else (True,) * len(self.dh)
-            self.tool_m = (float(tool_m[0]), float(tool_m[1]), float(tool_m[2]))
-        self._check()
-        self.joint_count = sum(self.joints)
+    def __init__(self, arm: Arm) -> None:
+        self.dh, self.convention, self.joints = arm.dh, arm.dh_convention, arm.joints
+        self.tool_m = arm.tool.position_m
+        self.joint_count = arm.joint_count
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ForwardKinematics) and self._numbers == other._numbers
@@ -59,13 +38,6 @@ class ForwardKinematics:
     @property
     def _numbers(self) -> tuple[object, ...]:
         return self.dh.tobytes(), self.convention, self.joints, self.tool_m
-
-    def _check(self) -> None:
-        if self.dh.ndim != 2 or self.dh.shape != (len(self.joints), 4) or not np.isfinite(self.dh).all():
-            expected = f"expected a finite DH table ({len(self.joints)}, 4)"
-            raise ArmError(f"kinematics: {expected}, got shape {self.dh.shape}")
-        if self.convention not in ("standard", "modified"):
-            raise ArmError(f'DH convention: expected "standard" or "modified", got "{self.convention}"')
 
     def traced_tip(self, q: Sequence[Symbol]) -> tuple[Any, ...]:
         """Return the tip as expressions of the symbols q."""

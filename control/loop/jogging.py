@@ -7,7 +7,6 @@ the arm slows to rest and the jog ends.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import add
-from typing import Protocol
 
 from control.errors import ArmError, MotionError
 from control.hardware.board_stop import Bridge
@@ -55,18 +54,6 @@ class TipStep:
 
 JogRequest = JointSpeeds | JointStep | TipVelocity | TipStep
 AnyJog = JointJog | TipJog
-
-
-class _Motion(Protocol):
-    @property
-    def is_at_rest(self) -> bool: ...
-
-    @property
-    def limited(self) -> str: ...
-
-    def advance(self, elapsed_s: float) -> SetPoint: ...
-
-    def take_up(self, motion_s: float, speed_share: float) -> SetPoint: ...
 
 
 class Jogging:

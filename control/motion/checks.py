@@ -66,11 +66,14 @@ class JointSamples:
     off: Array
 
 
-def sample_tip(spline: CartesianSpline, rate_Hz: float, least: int) -> TipSamples:
-    """Sample each section at `rate_Hz` or at `least` points, whichever is more."""
+LEAST_SAMPLES = 12  # of a section, however short
+
+
+def sample_tip(spline: CartesianSpline, rate_Hz: float) -> TipSamples:
+    """Sample each section at `rate_Hz` or at LEAST_SAMPLES points, whichever is more."""
     starts = np.array(spline.times_s)
     durations = np.diff(starts)
-    counts = np.maximum(least, np.ceil(durations * rate_Hz).astype(np.int64) + 1)
+    counts = np.maximum(LEAST_SAMPLES, np.ceil(durations * rate_Hz).astype(np.int64) + 1)
     section = np.repeat(np.arange(len(durations)), counts)
     within = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)
     t = (within / (counts - 1)[section] * durations[section])[:, None]

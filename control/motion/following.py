@@ -24,7 +24,6 @@ from control.motion.spline import CartesianSpline, TimedWaypoints, continuous_ve
 from control.motion.waypoints import Waypoints
 
 Pose = tuple[float, ...]
-LEAST_SAMPLES = 12  # of a section, however short
 SEED_STEP_M = 0.02  # between poses that are solved one after the other
 
 
@@ -57,7 +56,7 @@ class Follower(Protocol):
         ...
 
     def follow(self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float) -> Followed:
-        """Sample the path at a rate, or at LEAST_SAMPLES a section."""
+        """Sample the path at a rate, or at `checks.LEAST_SAMPLES` a section."""
         ...
 
 
@@ -219,7 +218,7 @@ class BranchFollower:
 
     def follow(self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float) -> Followed:
         """Newton from scalar solutions, at most SEED_STEP_M apart."""
-        tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)
+        tip = sample_tip(spline, rate_Hz)
         times, poses, at_waypoints = self._seeds(recipe, spline, start.q_rad)
         seeds = np.stack([np.interp(tip.times_s, times, q) for q in zip(*poses, strict=True)], axis=1)
         still = np.zeros_like(seeds)  # the tip alone fixes how the joints move
@@ -324,7 +323,7 @@ class PostureFollower:
         return OrientationSpline(spline.times_s, turned, rests)
 
     def _sampled(self, spline: CartesianSpline, turn: OrientationSpline | None, rate_Hz: float) -> TipSamples:
-        tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)
+        tip = sample_tip(spline, rate_Hz)
         if turn is None:
             return tip
         into = tip.times_s - np.array(spline.times_s)[tip.section]

@@ -55,10 +55,6 @@ class JointLimits:
             jerk_rad_s3=tuple(j * fraction**3 for j in self.jerk_rad_s3),
         )
 
-    def slower(self, fraction: float) -> "JointLimits":
-        """Limit only the speed to `fraction`, for a motion from a moving state; errors as `scaled`."""
-        return replace(self, speed_rad_s=self.scaled(fraction).speed_rad_s)
-
     def braking(self, acceleration: float, jerk: float) -> "JointLimits":
         """Multiply acceleration and jerk by these factors, for harder stops."""
         return replace(

@@ -27,9 +27,7 @@ HARDEST = len(_HARDER) - 1
 class JointMove:
     """Synchronised move of all joints from a state, at rest or moving, to rest at `q_to_rad`.
 
-    From rest, `speed_fraction` makes the same motion in 1/fraction of the time. From a moving state it
-    lowers the speed limit alone, so that the arm can still brake. A move to where the arm already rests has
-    duration 0.
+    A move to where the arm already rests has duration 0.
 
     Raises:
         MotionError: not finite, wrong count, a target or the way to it out of the joint limits.
@@ -37,19 +35,15 @@ class JointMove:
 
     __slots__ = ("_end", "_trajectory", "duration_s")
 
-    def __init__(
-        self, start: SetPoint | Sequence[float], q_to_rad: Sequence[float], limits: JointLimits, speed_fraction: float = 1.0
-    ) -> None:
+    def __init__(self, start: SetPoint | Sequence[float], q_to_rad: Sequence[float], limits: JointLimits) -> None:
         state = start if isinstance(start, SetPoint) else at_rest(tuple(start))
         target = tuple(float(q) for q in q_to_rad)
         _require_sane("joint move", state, target, limits)
         target = _inside(target, limits)
-        is_moving = any(state.speed_rad_s) or any(state.acceleration_rad_s2)
-        means = limits.slower(speed_fraction) if is_moving else limits.scaled(speed_fraction)
-        self._trajectory = _calculate(state, target, means)
+        self._trajectory = _calculate(state, target, limits)
         self._end = at_rest(target)
         self.duration_s: float = self._trajectory.duration
-        if is_moving:
+        if any(state.speed_rad_s) or any(state.acceleration_rad_s2):
             _require_way_inside(self._trajectory, state, limits)
 
     def at(self, time_s: float) -> SetPoint:

@@ -117,17 +117,14 @@ def plan_path(
     return next(_each(planner.starts(q_near_rad), lambda start: planner.plan(recipe, start)))
 
 
-def plan_paths(
-    arm: Arm, waypoints: Waypoints | Sequence[Sequence[float]], *, inverse: InverseKinematics | None = None
-) -> Iterator[PlannedPath]:
+def plan_paths(arm: Arm, waypoints: Waypoints) -> Iterator[PlannedPath]:
     """A plan from each start that can be run, on each branch of an arm that has some; the first is that of `plan_path`.
 
     Raises:
         ArmError: none can be run; the first start's.
     """
-    named = _named(waypoints)
-    planner = _Planner(arm, named, "normal", inverse)
-    recipe = planner.recipe(named.speeds_m_s, DEFAULT_PACE_M_S)
+    planner = _Planner(arm, waypoints, "normal")
+    recipe = planner.recipe(waypoints.speeds_m_s, DEFAULT_PACE_M_S)
     return _each(planner.starts(None), lambda start: planner.plan(recipe, start))
 
 

@@ -81,8 +81,7 @@ class TimedWaypoints:
     """Way-points with the path's speed at each, from which splines are made and slowed.
 
     `speeds_m_s` at the n + 1 points, after corners and rest; `paces_m_s` of the n sections, see
-    `section_times`. `slowed_corners`: 1-based way-points whose corner does not allow the speed asked for,
-    with the share allowed. `turns_rad` of the sections if the tip also turns; a section counts as long as `_counted` says.
+    `section_times`. `turns_rad` of the sections if the tip also turns; a section counts as long as `_counted` says.
     """
 
     points: tuple[Vector, ...]
@@ -91,7 +90,6 @@ class TimedWaypoints:
     speeds_m_s: tuple[float, ...]
     paces_m_s: tuple[float, ...]
     is_acceleration_continuous: bool
-    slowed_corners: tuple[tuple[int, float], ...] = ()
     turns_rad: tuple[float, ...] = ()
 
     def spline(self) -> CartesianSpline:
@@ -149,7 +147,6 @@ def timed(
     for i, (length, as_long) in enumerate(zip(lengths, counted, strict=True)):
         if as_long > length:  # the tip turns more than it moves: it passes both ends slower
             actual[i : i + 2] = [min(speed, length / as_long * paces[i]) for speed in actual[i : i + 2]]
-    corners = [(i + 1, factors[i]) for i in range(1, len(points) - 1) if factors[i] < 1.0 - 1e-9 and asked[i] > 0.0]
     return TimedWaypoints(
         points=tuple(points),
         tangents=tuple(directions),
@@ -157,7 +154,6 @@ def timed(
         speeds_m_s=tuple(actual),
         paces_m_s=tuple(paces),
         is_acceleration_continuous=speeds is None and counted == lengths,
-        slowed_corners=() if speeds is None else tuple(corners),
         turns_rad=tuple(turns_rad),
     )
 

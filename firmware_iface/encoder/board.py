@@ -275,12 +275,6 @@ class EncoderBoard:
         self._indices.expect(frame.sequence, channel)
         self._request(frame)
 
-    def disarm_index(self, channel: int) -> None:
-        """Disarm the index latch and discard its count."""
-        self._check_channel(channel)
-        self._request(wire.ArmIndex(self._next_sequence(), channel, IndexAction.DISARM))
-        self._indices.forget(channel)
-
     def index_latch(self, channel: int) -> int | None:
         """The count latched since `arm_index`, or None."""
         return self._indices.latched(channel)

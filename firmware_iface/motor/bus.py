@@ -144,13 +144,13 @@ def listen(link: FrameLink, clock: Clock, duration_s: float) -> BusScan:
     return scan
 
 
-def scan_nodes(link: FrameLink, clock: Clock, wait_s: float = ANSWER_WAIT_s) -> BusScan:
+def scan_nodes(link: FrameLink, clock: Clock) -> BusScan:
     """Request the serial number of every node and collect the answers. Raises LinkLost."""
     link.receive()
     for node in wire.NODES:
         request = ParameterRequest(Operation.READ, MotorParameter.BOARD_SERIAL_NUMBER, _SEQUENCE, 0)
         link.send(wire.PARAMETER_REQUEST_ID + node, request.pack())
-    return listen(link, clock, wait_s)
+    return listen(link, clock, ANSWER_WAIT_s)
 
 
 def _take(scan: BusScan, can_id: int, payload: bytes) -> None:

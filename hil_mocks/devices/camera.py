@@ -43,7 +43,6 @@ class PictureMock(ABC):
     """Takes an image at the first tick at or after each multiple of its period, stamped with that tick's time."""
 
     transport: Transport = "datagrams"
-    has_bodies = False
     is_exchanged = False  # two bodies have each other's name
 
     def __init__(self, setup: CameraSetup) -> None:

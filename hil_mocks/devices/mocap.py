@@ -64,8 +64,6 @@ def rotation_of(vector_rad: Point) -> Array:
 class MocapMock(PictureMock):
     """Sees bodies; a subclass says them in a vendor's format."""
 
-    has_bodies = True
-
     def __init__(self, setup: CameraSetup, scene: SceneSetup) -> None:
         super().__init__(setup)
         self.scene = scene

@@ -63,7 +63,7 @@ def other_trajectory(table: Table) -> tuple[Goal, ...]:
     return tuple((OTHER, f"t{k + 1}", (float(x), float(y), float(z))) for k, (x, y, z) in enumerate(centre + place))
 
 
-def free_poses(arm: Arm, seed: int = 0) -> Array:
+def free_poses(arm: Arm) -> Array:
     """Joint angles (FREE_COUNT, n) spread over the workspace, including poses where gravity changes sign.
 
     Each next pose is the candidate farthest from those chosen, in joint angles and in gravity torques, where only
@@ -72,7 +72,7 @@ def free_poses(arm: Arm, seed: int = 0) -> Array:
     lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T
     middle, half = 0.5 * (lower + upper), 0.5 * SHARE_OF_RANGE * (upper - lower)
     half[0] = min(half[0], YAW_rad)
-    q = np.random.default_rng(seed).uniform(middle - half, middle + half, (CANDIDATES, arm.joint_count))
+    q = np.random.default_rng(0).uniform(middle - half, middle + half, (CANDIDATES, arm.joint_count))
     q = q[ForwardKinematics(arm).tips(q)[:, 2] > FREE_HEIGHT_m]
     gravity = gravity_Nm(arm, q)
     scale = np.maximum(TURNING * np.abs(gravity).max(axis=0), 1e-6)

@@ -299,12 +299,12 @@ def _started(arm: Arm, rig: SteppedRig) -> tuple[Connection, Assembly]:
 
 
 @cache
-def asked_way(during: str, duration_s: float) -> tuple[Point, ...]:
+def asked_way(during: str) -> tuple[Point, ...]:
     """The true way of the twin's tip, from a little before the fault on."""
     with stage() as twin:
         twin.begin(during)
         twin.way = twin.way[-10:]
-        twin.run(duration_s)
+        twin.run(WATCHED_S)
         return tuple(tip for _, tip in twin.way[::THINNED])
 
 
@@ -361,7 +361,7 @@ class Drill(Promise):
             has_dropped = played.grip_N() < KEPT * grip_N
             way, noticed_s, codes, message = played.way.copy(), played.noticed_s, played.found, played.message
             refusal = played.recover()
-            asked = asked_way(self.during, WATCHED_S)
+            asked = asked_way(self.during)
             return DrillOutcome(
                 self,
                 max(off_way_m(tip, asked) for _, tip in (*way[::THINNED], way[-1])) * 1e3,

@@ -348,12 +348,6 @@ class TestIndex:
         board.set_zero(1)
         assert board.index_latch(1) is None
 
-    def test_disarming_forgets_the_latch(self) -> None:
-        board, link, _ = self.armed([(TX, send(wire.ArmIndex(2, 1, 0))), (RX, send(Ack(2, 2, 0)))])
-        link.push(send(IndexLatch(1, 1, 5, 33)))
-        board.disarm_index(1)
-        assert board.index_latch(1) is None
-
     def test_an_index_of_no_channel_is_a_violation(self) -> None:
         board, link, _ = make([])
         link.push(send(IndexLatch(0, 7, 5, 33)))

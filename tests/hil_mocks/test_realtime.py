@@ -38,7 +38,7 @@ def test_a_late_pacer_catches_up_within_its_bound_and_drops_the_rest() -> None:
 @pytest.mark.realtime
 def test_a_mock_arm_in_real_time_speaks_obeys_and_ends() -> None:
     with RealTimeRig("right", "demo") as rig:
-        link = open_serial(rig.encoder_url, 1_000_000)
+        link = open_serial(rig.encoder_urls[0], 1_000_000)
         assert EncoderBoard(link, rig.clock, "enc0").identify(2.0).channels == 3
         link.close()
         assert rig.hand.state == "away"

@@ -64,7 +64,7 @@ class Host:
 
 def plug_in(scenario: Scenario) -> Host:
     rig = SteppedRig(RIGHT, scenario)
-    return Host(rig, open_serial(rig.encoder_url, 1_000_000), open_can(rig.can_interface, rig.can_channel))
+    return Host(rig, open_serial(rig.encoder_urls[0], 1_000_000), open_can(rig.can_interface, rig.can_channel))
 
 
 @pytest.fixture

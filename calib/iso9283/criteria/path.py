@@ -95,19 +95,6 @@ def path_repeatability(points_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> Pa
     return PathDeviation(float(radius.max()), frozen(radius), frozen(points), int((~used).sum()))
 
 
-def orientation_path_accuracy(commanded_rad: npt.ArrayLike, attained_rad: npt.ArrayLike) -> Array:
-    """AT_a, AT_b, AT_c (clause 8.2): max_i |a_bar_i - a_ci| about each axis, (3,).
-
-    commanded_rad (m, 3), attained_rad (n, m, 3). Path accuracy on reorientation (clause 8.4) is AT_p by
-    `path_accuracy` on a straight path with alternating orientation.
-    """
-    wanted, attained = positions(commanded_rad, "orientation along the path"), np.asarray(attained_rad)
-    if attained.ndim != 3 or attained.shape[1:] != wanted.shape or not np.isfinite(attained).all():
-        raise Iso9283Error(f"orientation along the path: expected finite angles (n, {len(wanted)}, 3), got {attained.shape}")
-    turned = (attained - wanted + np.pi) % (2.0 * np.pi) - np.pi
-    return frozen(np.abs(turned.mean(axis=0)).max(axis=0))
-
-
 def _sections(
     points_m: npt.ArrayLike, attained_m: npt.ArrayLike, what: str, least: int
 ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:

@@ -80,12 +80,6 @@ def test_one_path_has_an_accuracy_but_no_repeatability() -> None:
         path.path_repeatability(points, attained)
 
 
-def test_orientation_along_the_path_is_the_largest_mean_deviation() -> None:
-    commanded = np.zeros((3, 3))
-    attained = np.array([[(0.1, 0, 0)] * 3, [(0.3, 0, 0), (0.1, 0, 0), (0.5, 0, -0.2)]])
-    assert path.orientation_path_accuracy(commanded, attained) == pytest.approx([0.3, 0, 0.1])
-
-
 def test_path_velocity_by_hand() -> None:
     cycles = [np.array([0.98, 1.02]), np.array([1.00, 1.06])]  # means 1.00 and 1.03
     found = path.path_velocity(1.0, cycles)

@@ -10,8 +10,9 @@ from control.errors import ArmError, BadTarget, JointLimitViolated, MissingModel
 from control.kinematics.inverse import BRANCHES, Branch, InverseKinematics
 from control.kinematics.numeric_inverse import descend
 from control.kinematics.reach import JointRange, travel_rad, turned_toward
-from control.model.arm import Arm, Link
+from control.model.arm import Arm
 from control.model.description import load_arm
+from tests.control.kinematics.tables import arm_of
 from tests.places import ARMS
 
 BOUNDS = np.array([5e-3, np.radians(2.0), 5e-3, np.radians(2.0)])  # of a calibration (docs/calibrate.md)
@@ -286,8 +287,7 @@ def test_a_descent_slides_along_the_limits_instead_of_stopping_at_them() -> None
 
 
 def _serial(*alphas: float) -> Arm:
-    links = tuple(Link("revolute", 0.1, 0.0, 0.3, alpha) for alpha in alphas)
-    return Arm("serial", links)
+    return arm_of([(0.1, 0.0, 0.3, alpha) for alpha in alphas])
 
 
 def test_arms_of_one_and_two_joints_reach_what_they_can_and_say_what_they_cannot() -> None:
@@ -310,9 +310,10 @@ def test_three_joints_of_another_structure_go_the_numeric_way() -> None:
     assert inverse.follow(point, [0.31, -0.79, 0.9]) == pytest.approx(q, abs=1e-6)
 
 
-def test_a_singular_target_of_any_arm_is_an_error() -> None:
+def test_a_singular_target_of_any_arm_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("control.kinematics.inverse.SINGULAR_MARGIN_m", 0.5)
     inverse = InverseKinematics(_serial(math.pi / 2, 0.0, 0.0))
-    straight = InverseKinematics(_serial(1.0, 1.2, 0.0), singular_margin_m=0.5)
+    straight = InverseKinematics(_serial(1.0, 1.2, 0.0))
     assert inverse.has_branches
     with pytest.raises(NearSingular, match=r"the arm would be .* m/rad from losing a direction"):
         straight.nearest(straight.kinematics.tip(0.3, -0.8, 0.9), [0.3, -0.8, 0.9])

@@ -12,6 +12,7 @@ from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_inverse import ACCURACY, PoseInverse, Targets, TipPose, errors, joint_rates, margins, solve, task_of
 from control.model.arm import Arm, Convention, Link
 from tests.control.dynamics.mujoco_arm import model_of
+from tests.control.kinematics.tables import arm_of
 
 PI = np.pi
 CONVENTIONS: tuple[Convention, ...] = ("standard", "modified")
@@ -25,7 +26,7 @@ def random_dh(joints: int, seed: int) -> np.ndarray:
 
 
 def random_arm(joints: int, convention: Convention, seed: int = 0) -> PoseKinematics:
-    return PoseKinematics(ForwardKinematics(random_dh(joints, seed), convention, tool_m=(0.02, -0.01, 0.1)))
+    return PoseKinematics(ForwardKinematics(arm_of(random_dh(joints, seed), convention, tool_m=(0.02, -0.01, 0.1))))
 
 
 def poses(joints: int, count: int = 60) -> np.ndarray:
@@ -145,7 +146,7 @@ def test_an_arm_holds_exactly_what_its_joints_can(joints: int, has_orientation: 
 
 
 def test_a_flat_arm_of_three_joints_holds_its_position_only_as_nearly_as_its_plane_allows() -> None:
-    flat = PoseKinematics(ForwardKinematics(np.array([[0.0, 0.0, 0.3, 0.0]] * 3)))
+    flat = PoseKinematics(ForwardKinematics(arm_of([(0.0, 0.0, 0.3, 0.0)] * 3)))
     assert task_of(flat, False).nearest == (0, 1, 2)
 
 
@@ -158,7 +159,7 @@ def six(seed: int = 0) -> Arm:
         [[0.15, 0, 0, PI / 2], [0, 0, 0.35, 0], [0, 0, 0.05, PI / 2], [0.3, 0, 0, -PI / 2], [0, 0, 0, PI / 2], [0.08, 0, 0, 0]]
     )
     dh = dh + np.random.default_rng(seed).uniform(-1, 1, dh.shape) * [2e-3, 0.02, 2e-3, 0.02]
-    return Arm("six", tuple(Link("revolute", *row) for row in dh.tolist()))
+    return arm_of(dh)
 
 
 def test_a_pose_is_reached_in_several_ways_and_the_first_is_near_where_the_arm_is() -> None:

@@ -156,11 +156,9 @@ def test_each_way_point_has_the_speed_that_it_asks_for():
         assert math.hypot(*spline.at(knot)[1]) == pytest.approx(speed)
 
 
-def test_at_a_reversal_the_path_stops_makes_no_loop_and_says_so():
+def test_at_a_reversal_the_path_stops_and_makes_no_loop():
     points = [(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.05, 0.0, 0.0)]
-    recipe = timed(points, 0.3)
-    spline = recipe.spline()
-    assert recipe.slowed_corners == ((2, 0.0),)
+    spline = timed(points, 0.3).spline()
     assert spline.at(spline.times_s[1])[1] == (0.0, 0.0, 0.0)
     position, _, _ = _sample(spline, np.linspace(0.0, spline.duration_s, 500))
     assert position[:, 0].max() <= 0.2 + 1e-12
@@ -170,16 +168,12 @@ def test_at_a_reversal_the_path_stops_makes_no_loop_and_says_so():
 def test_a_right_angle_is_taken_at_the_documented_share_of_the_speed():
     recipe = timed([(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1, 0.1, 0.0)], 0.2)
     share = 0.5 / math.cos(math.radians(22.5)) ** 2
-    ((number, factor),) = recipe.slowed_corners
-    assert number == 2
-    assert factor == pytest.approx(share)
     assert recipe.speeds_m_s[1] == pytest.approx(0.2 * share)
 
 
 def test_corners_up_to_45_degrees_keep_their_speed():
     turn = math.radians(44.9)
     recipe = timed([(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1 + 0.1 * math.cos(turn), 0.1 * math.sin(turn), 0.0)], 0.2)
-    assert recipe.slowed_corners == ()
     assert recipe.speeds_m_s[1] == 0.2
 
 
