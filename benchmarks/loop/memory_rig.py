@@ -7,12 +7,12 @@ times. A host that behaves identically gets identical data, and the boards cost 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from benchmarks.loop.memory_link import MemoryBus, MemoryByteLink, MemoryFrameLink, byte_pair
 from control.hardware.boards import BoardHardware
 from control.hardware.connect import reference_hardware
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.memory_link import MemoryBus, MemoryByteLink, MemoryFrameLink, byte_pair
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import Scenario

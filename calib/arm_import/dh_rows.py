@@ -54,11 +54,6 @@ class Screw:
     move_m: float = 0.0
     turn_rad: float = 0.0
 
-    @property
-    def is_nothing(self) -> bool:
-        """Whether it is the identity."""
-        return self.move_m == 0.0 and self.turn_rad == 0.0
-
 
 @dataclass(frozen=True, slots=True)
 class ScrewPair:

@@ -86,10 +86,6 @@ class Tree:
             poses[link.name] = above @ link.parent_T_link
         return poses
 
-    def children(self, name: str) -> list[TreeLink]:
-        """The links directly behind one."""
-        return [link for link in self.links.values() if link.parent == name]
-
     def path_to(self, name: str) -> list[TreeLink]:
         """The links from the root to one, both included."""
         path = [self.links[name]]

@@ -347,7 +347,7 @@ class DistanceProblem:
         tool_m (3,): start of the tool. CalibrationError for an unknown name in `fixed`, which holds where inner is None.
         """
         self.model, self.readings, self.devices, self._inner = model, readings, devices, inner
-        self._unit_m, self._tool_m = unit_m, frozen(tool_m)
+        self._tool_m = frozen(tool_m)
         of_arm = _of_the_arm(model, bounds or Bounds(), is_tool_free, tool_m)
         of_devices = [parameter for device in devices for parameter in device.parameters]
         require_known_names(() if inner is not None else fixed, [p.name for p in of_arm])

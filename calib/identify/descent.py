@@ -163,10 +163,9 @@ HOPELESS = 1e12  # times the curvature of a typical unknown: no damping helps
 
 @dataclass(frozen=True, slots=True)
 class SearchEnd:
-    """Result of a search: x, number of steps, and whether it converged."""
+    """Result of a search: x, and whether it converged."""
 
     x: Array
-    steps_count: int
     is_converged: bool
 
 
@@ -224,10 +223,10 @@ class _Descent:
 
     def ended(self) -> SearchEnd:
         """Take steps until the predicted decrease is too small."""
-        for steps in range(1, self._goal.step_limit + 1):
+        for _ in range(self._goal.step_limit):
             here = self._here
             if float(np.max(np.abs(here.residuals))) < NOTHING_M:
-                return SearchEnd(here.x, steps, True)
+                return SearchEnd(here.x, True)
             value, excess_m = self._value()
             d, promise = self._step()
             if promise > max(self._goal.tolerance * value, LAGS * excess_m):
@@ -237,10 +236,10 @@ class _Descent:
             elif here.smoothing_m > self._last_m:
                 self._here = self._resmoothed()
             else:
-                return SearchEnd(here.x, steps, True)
+                return SearchEnd(here.x, True)
             if self._damping > self._hopeless:
-                return SearchEnd(here.x, steps, False)
-        return SearchEnd(self._here.x, self._goal.step_limit, False)
+                return SearchEnd(here.x, False)
+        return SearchEnd(self._here.x, False)
 
     def _value(self) -> tuple[float, float]:
         """The merit function here, and what the smoothing adds to it, if it will be reduced further."""

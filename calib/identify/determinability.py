@@ -244,7 +244,7 @@ RANK_TOLERANCE = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Determinability:
-    """Rank of all k unknowns; condition number and singular values [m per bound] of the bounded ones, others projected out.
+    """Rank of all k unknowns; condition number of the bounded ones, others projected out.
 
     `basis` (k, rank): every change of the scaled unknowns that the data determine, as basis @ y; `spread`
     (k, rank): basis @ R^-1 with R'R = (J basis)'(J basis), so that spread @ spread.T times the noise variance is
@@ -253,7 +253,6 @@ class Determinability:
 
     rank: int
     condition_number: float
-    singular_values: Array
     basis: Array
     spread: Array
     undetermined_share: Array
@@ -273,7 +272,6 @@ def determinability(sensitivity: Array, parameters: tuple[Parameter, ...]) -> De
     return Determinability(
         rank=basis.shape[1],
         condition_number=float(seen[0] / seen[-1]) if len(seen) else float("inf"),
-        singular_values=frozen(parts.singular),
         basis=frozen(basis),
         spread=frozen(_spread(parts.rows, basis)),
         undetermined_share=frozen(np.sqrt(np.einsum("ij,ij->i", held, held))),

@@ -289,9 +289,7 @@ class Identification:
     noise_m: float
     rank: int
     condition_number: float
-    singular_values: Array
     undetermined: tuple[Undetermined, ...]
-    steps_count: int
     is_converged: bool
     x: Array
     noise: NoiseScale
@@ -311,11 +309,6 @@ class Identification:
         return frozen(self.dh - self.nominal_dh)
 
     @property
-    def sd(self) -> Array:
-        """Standard deviations of the free parameters, (k,); NaN at a bound."""
-        return frozen([estimate.sd for estimate in self.estimates])
-
-    @property
     def binding(self) -> tuple[str, ...]:
         """Names of parameters at their bound."""
         return tuple(e.parameter.name for e in self.estimates if e.is_at_bound)
@@ -329,11 +322,6 @@ class Identification:
     def mean_after_m(self) -> float:
         """Mean distance after identification."""
         return float(np.mean(norms(self.error_after_m)))
-
-    @property
-    def rms_after_m(self) -> float:
-        """Root mean square distance after identification."""
-        return float(np.sqrt(np.mean(norms(self.error_after_m) ** 2)))
 
     def in_words(self) -> tuple[str, ...]:
         """Sentences for the operator: what the data determine and what not."""
@@ -379,9 +367,7 @@ def identify(
         noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - estimation.known.rank))),
         rank=estimation.known.rank,
         condition_number=estimation.known.condition_number,
-        singular_values=estimation.known.singular_values,
         undetermined=estimation.known.undetermined,
-        steps_count=best.steps_count,
         is_converged=best.is_converged,
         x=frozen(x),
         noise=estimation.noise,

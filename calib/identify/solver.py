@@ -148,7 +148,6 @@ class Minimum:
 
     x: Array
     value: float
-    steps_count: int
     is_converged: bool
     objective: Objective
     accuracy: Accuracy | None = None
@@ -314,15 +313,14 @@ def _rough(sample: PoseSample, start: Array) -> SearchEnd:
     if isinstance(sample.objective, LeastSquares):
         return descend(sample, start, ROUGH)
     fitted = descend(replace(sample, objective=LeastSquares()), start, FIT)
-    found = descend(sample, fitted.x, ROUGH)
-    return replace(found, steps_count=fitted.steps_count + found.steps_count)
+    return descend(sample, fitted.x, ROUGH)
 
 
 def _finished(problem: Problem, objective: Objective, rough: SearchEnd) -> Minimum:
     """The search to convergence on all poses."""
     sample = PoseSample(problem, objective)
     end = descend(sample, rough.x, _fine(sample))
-    return Minimum(end.x, sample.value(end.x), rough.steps_count + end.steps_count, end.is_converged, objective)
+    return Minimum(end.x, sample.value(end.x), end.is_converged, objective)
 
 
 def _fine(sample: PoseSample) -> Termination:
@@ -355,7 +353,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
         value = sample.value(end.x)
         cost = COST_OF_NEARNESS if equal == "exactly" else _gain_by_noise(problem, tried)
         if value <= max(best.value * (1.0 + cost), nothing):
-            return Minimum(end.x, value, best.steps_count + end.steps_count, end.is_converged, objective)
+            return Minimum(end.x, value, end.is_converged, objective)
     return best
 
 

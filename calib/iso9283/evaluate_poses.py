@@ -49,7 +49,7 @@ def _pose_figures(group: PoseGroup) -> list[Figure]:
         accuracy = pose.pose_accuracy(group.commanded_m, group.attained_m)
         figures.append(Figure("AP_p", accuracy.total_m, "m", where, n))
     if n >= 2:
-        figures.append(Figure("RP_l", pose.pose_repeatability(group.attained_m).total_m, "m", where, n))
+        figures.append(Figure("RP_l", pose.pose_repeatability(group.attained_m), "m", where, n))
     if group.angle_rad is not None and group.angle_set_rad is not None:
         figures += _orientation_figures(group.angle_set_rad, group.angle_rad, where)
     return figures

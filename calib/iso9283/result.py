@@ -88,7 +88,6 @@ class Evaluation:
     clouds: Mapping[str, Array] = field(default_factory=dict)
     paths: tuple[PathTrace, ...] = ()
     settling: tuple[SettlingTrace, ...] = ()
-    loads: tuple[Array, Array] | None = None
 
 
 CRITERIA = (
@@ -233,7 +232,7 @@ def _draw_clouds(figure: Drawing, clouds: Mapping[str, Array]) -> None:
     figure.subplots_adjust(0.06, 0.1, 0.99, 0.94, wspace=0.3, hspace=0.32)
     for column, (name, deviation) in enumerate(clouds.items()):
         about = 1e3 * (deviation - deviation.mean(axis=0))
-        radius = 1e3 * pose_repeatability(deviation).total_m if len(deviation) > 1 else 0.0
+        radius = 1e3 * pose_repeatability(deviation) if len(deviation) > 1 else 0.0
         for row, (i, j, names) in enumerate(((0, 1, "xy"), (0, 2, "xz"))):
             panel = axes[row][column]
             panel.plot(about[:, i], about[:, j], "o", ms=3, color=STYLES[0][0], alpha=0.6)

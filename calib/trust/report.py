@@ -70,7 +70,7 @@ def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path) -> 
                 _figure(norms(off.mean(axis=1))),
                 _figure(_repeatability(off)) if len(rows) > 1 else None,
                 pose.pose_accuracy(group.commanded_m, attained).total_m if n else None,
-                pose.pose_repeatability(attained).total_m if n > 1 else None,
+                pose.pose_repeatability(attained) if n > 1 else None,
             )
         )
     return tuple(figures)

@@ -55,11 +55,6 @@ class RuntimeLink:
         self._waiting: dict[int, asyncio.Future[Message]] = {}
         self._numbers = 0
 
-    @property
-    def is_up(self) -> bool:
-        """Whether the runtime answered just now."""
-        return self.status is not None
-
     async def run(self) -> None:
         """Connect, poll, and reconnect when lost, until cancelled."""
         while True:

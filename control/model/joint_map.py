@@ -32,10 +32,6 @@ class JointMap:
         except (ValueError, OverflowError):
             raise BadTarget(f"joint angle: expected a finite number, got {q_rad}") from None
 
-    def speed_rad_s(self, speed_count_s: float) -> float:
-        """Return the joint speed of a counting speed."""
-        return speed_count_s * self.radians_per_count
-
 
 class Unwrapper:
     """Unwraps a counter of `bits` bits; steps must be below half of its range.

@@ -178,17 +178,6 @@ def _counted(lengths_m: Sequence[float], turns_rad: Sequence[float]) -> list[flo
     return [max(length, TURN_LENGTH_M * turn) for length, turn in zip(lengths_m, turns_rad, strict=True)]
 
 
-def through(
-    waypoints: Iterable[Iterable[float]],
-    speeds: float | Sequence[float] | None = None,
-    *,
-    pace_m_s: float = DEFAULT_PACE_M_S,
-    ends_at_rest: bool = True,
-) -> CartesianSpline:
-    """The spline through `waypoints`; arguments and errors as `timed`."""
-    return timed(waypoints, speeds, pace_m_s=pace_m_s, ends_at_rest=ends_at_rest).spline()
-
-
 def checked_points(waypoints: Iterable[Iterable[float]], turns_rad: Sequence[float] = ()) -> list[Vector]:
     """Two or more finite points, no neighbours the same unless the tip turns between them."""
     points: list[Vector] = []

@@ -154,7 +154,6 @@ class EncoderBoard:
         self.resets = 0
         self._link = link
         self._clock = clock
-        self.stream_period_s = 0.0  # as it was last asked for
         self._decoder = wire.Decoder()
         self._time = BoardTime()
         self._sequence = 0
@@ -250,7 +249,6 @@ class EncoderBoard:
                 f"{_LONGEST_PERIOD_s * 1e3:g} ms; take a longer period or a higher baud rate"
             )
         self._request(wire.Stream(self._next_sequence(), round(period_s * 1e6)))
-        self.stream_period_s = period_s
 
     def poll(self) -> None:
         """Request one report without waiting; a later update() receives it."""

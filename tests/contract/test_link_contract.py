@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 import pytest
 from can import bus as bus_of_python_can
 
+from benchmarks.loop.memory_link import MemoryBus, byte_pair
 from firmware_iface.can_link import open_can
 from firmware_iface.errors import LinkError, LinkLost, PortMissing
 from firmware_iface.link import ByteLink, FrameLink
-from firmware_iface.memory_link import MemoryBus, byte_pair
 from firmware_iface.serial_link import open_serial
 
 JoinBus = Callable[[], FrameLink]

@@ -15,7 +15,6 @@ from firmware_iface.errors import (
 from firmware_iface.motor.board import MotorBoard, MotorBus, MotorIdentity
 from firmware_iface.motor.cia402 import DriveCommand, DriveState
 from firmware_iface.motor.wire import (
-    MotorCommand,
     MotorFault,
     MotorParameter,
     ParameterAnswer,
@@ -24,6 +23,7 @@ from firmware_iface.motor.wire import (
     Reply,
     SetpointMode,
 )
+from tests.firmware_iface.motor_command import MotorCommand
 from tests.firmware_iface.scripted import RX, TX, FakeClock, FrameScript, ScriptedFrames
 
 STATUSWORD = {

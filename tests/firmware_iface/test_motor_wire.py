@@ -10,13 +10,13 @@ from firmware_iface.motor import wire
 from firmware_iface.motor.wire import (
     DigitalCommand,
     DigitalReply,
-    MotorCommand,
     ParameterAnswer,
     ParameterRequest,
     Reply,
     SetpointMode,
     unpack_reply,
 )
+from tests.firmware_iface.motor_command import MotorCommand
 from tests.places import ROOT
 
 I32 = (-(2**31), -100_000, -1, 0, 1, 2**31 - 1)

@@ -25,12 +25,12 @@ from control.recording.rotation import PartFile, begin
 from firmware_iface.camera import CameraFrame
 from firmware_iface.encoder import wire
 from firmware_iface.mocap import qtm
-from firmware_iface.motor import wire as motor_wire
 from hil_mocks.devices.mocap import NatNetMock, QtmMock
 from procedures.bringup.procedure import Journal
 from tests.calib.capture.recordings import both, c3d_bytes, vicon_csv
 from tests.firmware_iface.mocap.test_bodies import VICON
 from tests.firmware_iface.mocap.test_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP
+from tests.firmware_iface.motor_command import MotorCommand
 from tests.fuzz.bought_seeds import bought_seeds
 from tests.fuzz.readers import PLAN
 from tests.recordings import row_of
@@ -151,7 +151,7 @@ def _seeds() -> dict[str, list[bytes]]:
     return {
         "encoder": [b"".join(map(wire.encode, REPORTS)), wire.encode(wire.Ack(1, 2, 3))],
         "cobs": [wire.encode(report)[:-1] for report in REPORTS],
-        "motor": [motor_wire.MotorCommand(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
+        "motor": [MotorCommand(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
         "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
         "vicon": [VICON, VICON.ljust(256, b"\0")],

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from benchmarks.loop.memory_link import MemoryBus
 from control.recording.frame_decoder import FrameDecoder
 from control.recording.frames import stored_columns
 from control.recording.record import Layout
@@ -19,12 +20,12 @@ from firmware_iface import camera
 from firmware_iface.can_link import SlcanLink
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.errors import ArmwrightError, LinkError
-from firmware_iface.memory_link import MemoryBus
 from firmware_iface.mocap import natnet, qtm, vicon
 from firmware_iface.mocap.bodies import BodyFrame, Malformed
 from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
+from tests.firmware_iface.motor_command import MotorCommand
 from tests.fuzz.bought import BOUGHT
 from tests.fuzz.readers import FILES, LINES
 
@@ -50,7 +51,7 @@ def cobs_block(content: bytes) -> None:
 def motor_frames(content: bytes) -> None:
     """A motor board's payloads, and any frames on its bus: a board that is not there is never believed."""
     if len(content) == 8:
-        for kind in (motor_wire.MotorCommand, motor_wire.ParameterRequest, motor_wire.ParameterAnswer):
+        for kind in (MotorCommand, motor_wire.ParameterRequest, motor_wire.ParameterAnswer):
             with contextlib.suppress(ValueError):  # a mode or an operation that there is not
                 assert kind.unpack(content).pack()
     memory, clock = MemoryBus(), _Still()

@@ -5,10 +5,11 @@ from contextlib import suppress
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.loop.memory_link import MemoryBus
 from firmware_iface.errors import LinkError
-from firmware_iface.memory_link import MemoryBus
 from firmware_iface.motor import wire
 from firmware_iface.motor.board import MotorBoard, MotorBus
+from tests.firmware_iface.motor_command import MotorCommand
 
 u8 = st.integers(0, 255)
 i16 = st.integers(-(2**15), 2**15 - 1)
@@ -17,9 +18,9 @@ mode = st.integers(0, 7)
 sequence = st.integers(0, 31)
 
 
-@given(st.builds(wire.MotorCommand, u8, mode, sequence, i32, i16))
-def test_commands_survive(command: wire.MotorCommand) -> None:
-    assert wire.MotorCommand.unpack(command.pack()) == command
+@given(st.builds(MotorCommand, u8, mode, sequence, i32, i16))
+def test_commands_survive(command: MotorCommand) -> None:
+    assert MotorCommand.unpack(command.pack()) == command
 
 
 @given(st.binary(min_size=8, max_size=8))

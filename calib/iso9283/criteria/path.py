@@ -14,21 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import Array, frozen, norms
+from calib.arrays import Array, norms
 from calib.iso9283.criteria.pose import SIGMAS, Iso9283Error, above_zero, direction, position, positions, track
 
 
 @dataclass(frozen=True, slots=True)
 class PathDeviation:
-    """`total_m`, the largest of the deviations along the path (used points,) in m, and where they are.
-
-    `point_m` (used, 3) commanded points; `skipped`: number of calculation points that an attained path does not cross, such as
-    those at the ends.
+    """`total_m`, the largest of the deviations along the path; `skipped`: number of calculation points that an attained path does
+    not cross, such as those at the ends.
     """
 
     total_m: float
-    along_m: Array
-    point_m: Array
     skipped: int
 
 
@@ -81,7 +77,7 @@ def path_accuracy(points_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> PathDev
     """
     points, attained, used = _sections(points_m, attained_m, "path accuracy", 1)
     distance = norms(attained.mean(axis=0) - points)
-    return PathDeviation(float(distance.max()), frozen(distance), frozen(points), int((~used).sum()))
+    return PathDeviation(float(distance.max()), int((~used).sum()))
 
 
 def path_repeatability(points_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> PathDeviation:
@@ -89,10 +85,10 @@ def path_repeatability(points_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> Pa
 
     RT_p = max_i (l_bar_i + 3 S_li), l_ij = |p_ij - p_bar_i|, S_li = sqrt(sum_j (l_ij - l_bar_i)^2 / (n - 1)); n >= 2.
     """
-    points, attained, used = _sections(points_m, attained_m, "path repeatability", 2)
+    _, attained, used = _sections(points_m, attained_m, "path repeatability", 2)
     lengths = np.linalg.norm(attained - attained.mean(axis=0), axis=2)
     radius = lengths.mean(axis=0) + SIGMAS * lengths.std(axis=0, ddof=1)
-    return PathDeviation(float(radius.max()), frozen(radius), frozen(points), int((~used).sum()))
+    return PathDeviation(float(radius.max()), int((~used).sum()))
 
 
 def _sections(
@@ -178,12 +174,11 @@ def _distance_to(point: Array, path: Array) -> float:
 # Path velocity characteristics, ISO 9283:1998 clause 8.6: accuracy, repeatability and fluctuation of the speed.
 @dataclass(frozen=True, slots=True)
 class PathVelocity:
-    """AV and RV in % of the commanded speed (RV None for a single cycle), FV in m/s; `mean_m_s` attained."""
+    """AV and RV in % of the commanded speed (RV None for a single cycle), FV in m/s."""
 
     accuracy_percent: float
     repeatability_percent: float | None
     fluctuation_m_s: float
-    mean_m_s: float
 
 
 def path_velocity(commanded_m_s: float, speeds_m_s: Sequence[npt.ArrayLike]) -> PathVelocity:
@@ -199,10 +194,7 @@ def path_velocity(commanded_m_s: float, speeds_m_s: Sequence[npt.ArrayLike]) -> 
     means = np.array([cycle.mean() for cycle in cycles])
     repeatability = 100.0 * SIGMAS * float(means.std(ddof=1)) / wanted if len(means) > 1 else None
     return PathVelocity(
-        100.0 * (float(means.mean()) - wanted) / wanted,
-        repeatability,
-        max(float(cycle.max() - cycle.min()) for cycle in cycles),
-        float(means.mean()),
+        100.0 * (float(means.mean()) - wanted) / wanted, repeatability, max(float(cycle.max() - cycle.min()) for cycle in cycles)
     )
 
 

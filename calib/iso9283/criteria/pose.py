@@ -84,15 +84,6 @@ class PoseAccuracy:
 
 
 @dataclass(frozen=True, slots=True)
-class Repeatability:
-    """`total_m` = mean_m + 3 sd_m of the distances from the barycentre."""
-
-    total_m: float
-    mean_m: float
-    sd_m: float
-
-
-@dataclass(frozen=True, slots=True)
 class Drift:
     """Change of pose accuracy and repeatability over a time, and motion of the barycentre, in m.
 
@@ -117,7 +108,7 @@ def pose_accuracy(commanded_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> Pose
     return PoseAccuracy(float(np.linalg.norm(deviation)), frozen(deviation))
 
 
-def pose_repeatability(attained_m: npt.ArrayLike) -> Repeatability:
+def pose_repeatability(attained_m: npt.ArrayLike) -> float:
     """RP (clause 7.2): the radius about the barycentre within which the attained positions scatter.
 
     RP_l = l_bar + 3 S_l with l_j = |p_j - p_bar|, l_bar = 1/n sum l_j,
@@ -126,7 +117,7 @@ def pose_repeatability(attained_m: npt.ArrayLike) -> Repeatability:
     attained = positions(attained_m, "pose repeatability", least=2)
     lengths = norms(attained - attained.mean(axis=0))
     mean, sd = float(lengths.mean()), float(lengths.std(ddof=1))
-    return Repeatability(mean + SIGMAS * sd, mean, sd)
+    return mean + SIGMAS * sd
 
 
 def orientation_accuracy(commanded_rad: npt.ArrayLike, attained_rad: npt.ArrayLike) -> Array:
@@ -195,7 +186,7 @@ def drift(commanded_m: npt.ArrayLike, first_m: npt.ArrayLike, last_m: npt.ArrayL
     before, after = pose_accuracy(commanded_m, first), pose_accuracy(commanded_m, last)
     repeatability = None
     if min(len(first), len(last)) >= 2:
-        repeatability = abs(pose_repeatability(first).total_m - pose_repeatability(last).total_m)
+        repeatability = abs(pose_repeatability(first) - pose_repeatability(last))
     moved = float(np.linalg.norm(after.axes_m - before.axes_m))
     return Drift(abs(after.total_m - before.total_m), repeatability, moved)
 

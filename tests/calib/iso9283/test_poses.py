@@ -35,19 +35,16 @@ def test_pose_accuracy_of_a_single_visit_is_its_distance() -> None:
 
 def test_pose_repeatability_is_mean_plus_three_sd_of_the_distances() -> None:
     # Equal distances have no scatter of their own: RP is their mean.
-    assert pose.pose_repeatability(SQUARE).total_m == pytest.approx(np.sqrt(2.0) * MM, abs=EXACT)
+    assert pose.pose_repeatability(SQUARE) == pytest.approx(np.sqrt(2.0) * MM, abs=EXACT)
     # On a line at -3, 0, 3: l = 3, 0, 3; mean 2, S = sqrt((1 + 4 + 1) / 2) = sqrt(3).
     line = [(-3 * MM, 0, 0), (0, 0, 0), (3 * MM, 0, 0)]
-    found = pose.pose_repeatability(line)
-    assert found.mean_m == pytest.approx(2 * MM, abs=EXACT)
-    assert found.sd_m == pytest.approx(np.sqrt(3.0) * MM, abs=EXACT)
-    assert found.total_m == pytest.approx((2 + 3 * np.sqrt(3.0)) * MM, abs=EXACT)
+    assert pose.pose_repeatability(line) == pytest.approx((2 + 3 * np.sqrt(3.0)) * MM, abs=EXACT)
 
 
 def test_repeatability_of_normal_noise_is_what_the_maxwell_distribution_says() -> None:
     # l is Maxwell distributed: mean 1.5958 s, sd 0.6734 s, so RP = 3.616 s; 20,000 draws leave about 0.5 %.
     noise = np.random.default_rng(5).normal(size=(20_000, 3))
-    assert pose.pose_repeatability(noise).total_m == pytest.approx(3.616, rel=0.02)
+    assert pose.pose_repeatability(noise) == pytest.approx(3.616, rel=0.02)
 
 
 def test_orientation_accuracy_and_repeatability_go_around_the_half_turn() -> None:
@@ -98,7 +95,7 @@ def test_where_the_frame_stands_changes_no_figure() -> None:
 
     for figure in (
         lambda c, a, b: pose.pose_accuracy(c, a).total_m,
-        lambda c, a, b: pose.pose_repeatability(a).total_m,
+        lambda c, a, b: pose.pose_repeatability(a),
         lambda c, a, b: pose.multidirectional_variation([a, b]),
         lambda c, a, b: pose.distance_accuracy(c, a[0], a, b).total_m,
         lambda c, a, b: pose.distance_repeatability(a, b).total_m,

@@ -25,7 +25,6 @@ def test_direction_and_zero_apply_to_counts() -> None:
     assert map_.radians(500) == 0.0
     assert map_.count(math.pi) == 500 - 102_400
     assert map_.radians(500 - 102_400) == pytest.approx(math.pi)
-    assert map_.speed_rad_s(-204_800) == pytest.approx(2.0 * math.pi)
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.sampled_from([1, -1]), st.floats(0.1, 1000.0))

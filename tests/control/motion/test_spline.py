@@ -8,9 +8,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from control.errors import PathError
-from control.motion.spline import arc_lengths, hermite, section_times, tangents, through, timed
+from control.motion.spline import arc_lengths, hermite, section_times, tangents, timed
 
 RADIUS, SPEED = 0.09, 0.15
+
+
+def through(points, speeds=None, **how):
+    return timed(points, speeds, **how).spline()
 
 
 def _circle(count=24, turns=1.0, radius=RADIUS):

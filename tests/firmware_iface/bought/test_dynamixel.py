@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.loop.memory_link import byte_pair
 from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardRefused, BoardSilent, MisuseError, WrongIdentity
-from firmware_iface.memory_link import byte_pair
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup, status_packet
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.loop.memory_link import byte_pair
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.feetech import wire
 from firmware_iface.feetech.servo import CURRENT_UNIT_A, FeetechLine, FeetechServo
-from firmware_iface.memory_link import byte_pair
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 

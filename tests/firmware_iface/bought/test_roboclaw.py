@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.loop.memory_link import MemoryByteLink, byte_pair
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
-from firmware_iface.memory_link import MemoryByteLink, byte_pair
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import ANSWER_TIMEOUT_s, PacketLine, RoboClaw
 from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
