@@ -83,15 +83,10 @@ def require_same(one: StaticGap, other: StaticGap) -> None:
 @pytest.mark.parametrize(
     "has_time", [pytest.param(True, id="with times"), pytest.param(False, id="without times", marks=pytest.mark.nightly)]
 )
-def test_rows_in_another_order_have_the_same_answer(has_time: bool) -> None:
+def test_rows_in_another_order_and_current_limits_that_are_five_times_as_wide_have_the_same_answer(has_time: bool) -> None:
     arm, points, found = recorded(has_time)
-    require_same(found, find(arm, shuffled(points)[0]))
-
-
-def test_current_limits_that_are_five_times_as_wide_have_the_same_answer() -> None:
-    arm, points, found = recorded(True)
     drives = tuple(dataclasses.replace(one, current_limit_A=5.0 * one.current_limit_A) for one in arm.drives)
-    require_same(found, find(dataclasses.replace(arm, drives=drives), points))
+    require_same(found, find(dataclasses.replace(arm, drives=drives), shuffled(points)[0]))
 
 
 # Recordings as files: a table of rows (dicts of texts by column) that is written down in another way.
@@ -139,36 +134,35 @@ def answer(arm: Arm, paths: list[Path], unit: str = "A") -> GapFinding:
     return find_gap(arm, read.points, read.log, without=without).finding
 
 
-def columns_turned_round(arm: Arm, path: Path) -> GapFinding:
-    return answer(arm, [written(path, [dict(reversed(row.items())) for row in rows_of(path)])])
+@dataclasses.dataclass(frozen=True)
+class Way:
+    """How a recording is written down; two files: the later one first, no run in both."""
 
+    unit: str = "A"
+    are_columns_turned_round: bool = False
+    files: int = 1
 
-def in_unit(unit: str) -> Callable[[Arm, Path], GapFinding]:
-    def in_that(arm: Arm, path: Path) -> GapFinding:
-        per, rows = amperes_per(arm, unit), rows_of(path)
+    def answer(self, arm: Arm, path: Path) -> GapFinding:
+        rows = rows_of(path)
         for row in rows:
-            for joint, factor in enumerate(per.tolist(), start=1):
+            for joint, factor in enumerate(amperes_per(arm, self.unit).tolist(), start=1):
                 cell = row[f"i{joint}_A"]
                 row[f"i{joint}_A"] = f"{float(cell) / factor:.12g}" if cell else ""
-        return answer(arm, [written(path, rows)], unit)
-
-    return in_that
-
-
-def other_file_first(arm: Arm, path: Path) -> GapFinding:
-    """Two files, the later one first; no run is in both."""
-    rows = rows_of(path)
-    later = range(len(rows) // 2, len(rows))
-    middle = next(k for k in later if "run" not in rows[k] or rows[k]["run"] != rows[k - 1]["run"])
-    parts = {"b": rows[middle:], "a": rows[:middle]}
-    return answer(arm, [written(path.parent / f"{name}_{path.name}", part) for name, part in parts.items()])
+        if self.are_columns_turned_round:
+            rows = [dict(reversed(row.items())) for row in rows]
+        later = range(len(rows) // 2, len(rows))
+        middle = next(k for k in later if "run" not in rows[k] or rows[k]["run"] != rows[k - 1]["run"])
+        parts = [rows] if self.files == 1 else [rows[middle:], rows[:middle]]
+        return answer(arm, [written(path.parent / f"{k}_{path.name}", part) for k, part in enumerate(parts)], self.unit)
 
 
 WAYS = {
-    "columns in another order": columns_turned_round,
-    "milliamperes": in_unit("mA"),
-    "torques of the motors": in_unit("motor_Nm"),
-    "two files, the later one first": other_file_first,
+    "columns in another order": Way(are_columns_turned_round=True),
+    "milliamperes": Way("mA"),
+    "torques of the motors": Way("motor_Nm"),
+    "two files, the later one first": Way(files=2),
+    "all at once, in milliamperes": Way("mA", are_columns_turned_round=True, files=2),
+    "all at once, in torques of the motors": Way("motor_Nm", are_columns_turned_round=True, files=2),
 }
 
 
@@ -199,11 +193,12 @@ def require_equal(found: GapFinding, other: GapFinding, rel: float = 1e-5) -> No
     assert other.gap_after == pytest.approx(found.gap_after, rel=rel)
 
 
-# Every way and both kinds at each change, and all pairs at night.
+# All at once at each change, and each way by itself at night.
+AT_EACH_CHANGE = (poses, "all at once, in milliamperes"), (series, "all at once, in torques of the motors")
 PAIRS = [
-    pytest.param(kind, way, id=f"{kind.__name__}-{way}", marks=[] if (number + (kind is series)) % 2 else pytest.mark.nightly)
+    pytest.param(kind, way, id=f"{kind.__name__}-{way}", marks=[] if (kind, way) in AT_EACH_CHANGE else pytest.mark.nightly)
     for kind in (poses, series)
-    for number, way in enumerate(WAYS)
+    for way in WAYS
 ]
 
 
@@ -214,7 +209,7 @@ def test_the_same_recording_written_down_in_another_way_has_the_same_answer(
 ) -> None:
     found = plain(kind, folder)
     assert len(found.effects) > (kind is poses)
-    require_equal(found, WAYS[way](*kind(tmp_path)))
+    require_equal(found, WAYS[way].answer(*kind(tmp_path)))
 
 
 @pytest.mark.usefixtures("without_motion")
@@ -268,10 +263,6 @@ def test_neither_current_limits_nor_the_order_of_runs_say_anything_of_a_log(fold
     drives = tuple(dataclasses.replace(one, current_limit_A=6.0 * one.current_limit_A) for one in LONG.drives)
     without = [name for name in EFFECTS if name not in TRIED]
     found = plain(series, folder)
-    wider, turned = (
-        find_gap(arm, None, log, without=without).finding
-        for arm, log in ((dataclasses.replace(LONG, drives=drives), moved()), (LONG, Log(moved().runs[::-1])))
-    )
+    other = find_gap(dataclasses.replace(LONG, drives=drives), None, Log(moved().runs[::-1]), without=without).finding
     assert values_of(found).keys() == {EffectName("load_friction", 2)}
-    require_equal(found, wider)
-    require_equal(found, turned)
+    require_equal(found, other)

@@ -19,6 +19,7 @@ from control.model.description import load_arm
 from control.model.maps import CorrectionMap
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
+pytestmark = pytest.mark.usefixtures("without_motion")
 FRICTION = arm_with_friction()
 
 

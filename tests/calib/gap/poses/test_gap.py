@@ -42,19 +42,16 @@ def test_a_hidden_effect_is_found_and_its_gap_closes(hidden) -> None:
     assert found.finding.ambiguous == ()
 
 
-@pytest.mark.parametrize("seed", range(1))
-def test_with_nothing_hidden_nothing_is_named(seed) -> None:
-    found = find(ARM, case(seed))
+@pytest.mark.parametrize("seed", [0, pytest.param(32, marks=pytest.mark.nightly)])
+def test_with_nothing_hidden_nothing_is_named_and_an_arm_with_that_geometry_stays_as_it_was_given(seed: int) -> None:
+    """What was calibrated with these poses and others is not fitted again to the four fifths that decide."""
+    points = case(seed)
+    found = find(ARM, points)
     assert names(found) == []
+    assert found.finding.ambiguous == ()
     assert found.finding.unknown is None
     assert found.finding.gap_after < 1.1
-
-
-def test_an_arm_of_which_nothing_is_named_stays_as_it_was_given() -> None:
-    """A geometry that was calibrated with these poses and others is not fitted again to the four fifths that decide."""
-    points = case(0)
-    improved = find(ARM, points).file
-    again = find(improved, points)
+    again = find(found.file, points)
     assert again.finding.effects == ()
     assert again.file == again.arm
     assert again.finding.gap_after == again.finding.gap_before
@@ -71,7 +68,7 @@ def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(
     "said",
     third_of(
         [
-            (Hidden("slip", 3, 0.006, 0.5), "joint 3"),
+            (Hidden("slip", 3, 0.006, 0.5), "joint 3: steps at"),
             (Hidden("camera skew", None, 0.006), "skewed"),
             (Hidden("registration", None, 0.002, 1.0), "setup roll"),
         ]
@@ -86,13 +83,13 @@ def test_what_no_law_describes_is_unknown_and_where_it_is_is_said(said) -> None:
     assert where in found.finding.unknown.where
 
 
-def test_a_forearm_that_bends_is_never_called_a_soft_wrist() -> None:
+@pytest.mark.parametrize("seed", [16, pytest.param(17, marks=pytest.mark.nightly)])
+def test_a_forearm_that_bends_is_never_called_a_soft_wrist(seed: int) -> None:
     """To most poses both are one; then they are an ambiguous set."""
-    for seed in (16, 17):
-        found = find(ARM, case(seed, (Hidden("link_flexure", 3, 150.0),)))
-        assert EffectName("joint_compliance", 3) not in names(found)
-        answers = {*names(found), *(name for names in found.finding.ambiguous for name in names)}
-        assert EffectName("link_flexure", 3) in answers
+    found = find(ARM, case(seed, (Hidden("link_flexure", 3, 150.0),)))
+    assert EffectName("joint_compliance", 3) not in names(found)
+    answers = {*names(found), *(name for names in found.finding.ambiguous for name in names)}
+    assert EffectName("link_flexure", 3) in answers
 
 
 def test_swapped_points_are_left_out_and_said_and_the_rest_is_answered() -> None:

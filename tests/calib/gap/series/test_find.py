@@ -91,13 +91,6 @@ def test_progress_is_told_from_start_to_end(null: DynamicOutcome, told: list[flo
     assert told == sorted(told)
 
 
-def test_load_friction_is_named_with_its_joint_and_fraction() -> None:
-    found = hiding(on_joint(2, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed)))
-    assert names(found) == [EffectName("load_friction", 2)]
-    assert found.effects[0].parameters["fraction"][0] == pytest.approx(0.2, rel=0.1)
-    assert found.gap_after < 1.3 < found.gap_before
-
-
 @pytest.mark.parametrize("order", third_of([7, 1]))
 def test_cogging_is_named_with_order_amplitude_and_phase(order: int) -> None:
     found = hiding(on_joint(1, lambda j, q, speed, link: 0.4 * np.sin(order * 100.0 * q + 0.8)))

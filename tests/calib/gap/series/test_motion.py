@@ -18,6 +18,7 @@ from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Law
 from control.dynamics.dynamics import Dynamics
 from tests.calib.gap.series.prescribed import LONG, arm_with_friction, log_of
+from tests.calib.gap.series.test_find import FEW
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)
@@ -121,14 +122,16 @@ def test_where_a_driver_is_off_only_windows_are_compared() -> None:
     assert set(motion_gaps(physics, known, known, ("7",))) == {OPEN, CLOSED}
 
 
-def test_the_motion_from_voltage_comes_closer_with_what_was_named() -> None:
+def test_load_friction_is_named_with_its_joint_and_fraction_and_the_motion_from_voltage_comes_closer() -> None:
     """Windows of 0.2 s from measured states, and whole runs in closed loop: checks that took no part in naming."""
 
     def law(j: int, q: Array, speed: Array, link: Array) -> Array:
         return np.asarray(0.2 * np.abs(link) * np.sign(speed)) if j == 1 else np.zeros_like(q)
 
-    found = find(ARM, log_of(ARM, law), candidates=("load_friction", "coulomb_friction"))
+    found = find(ARM, log_of(ARM, law), candidates=FEW)
     assert [effect.name for effect in found.effects] == [EffectName("load_friction", 2)]
+    assert found.effects[0].parameters["fraction"][0] == pytest.approx(0.2, rel=0.1)
+    assert found.gap_after < 1.3 < found.gap_before
     assert found.after_si["q_rad"] < 0.5 * found.before_si["q_rad"]
     assert found.noise_floor["q_rad"] < found.after_si["q_rad"]
     assert found.after_si["q_loop_rad"] < 0.5 * found.before_si["q_loop_rad"] < found.before_si["q_rad"]
