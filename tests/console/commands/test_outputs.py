@@ -69,6 +69,7 @@ def test_a_plan_is_printed_and_nothing_written(
 
 def test_a_folder_that_is_not_there_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("calib.closed_chain.planning.DRAWN", 600)  # poses of which it finds two contacts
     board = board_cavities(table_of(RIGHT))
     marks = [f"normal,{name},{x},{y},{z}" for name, (x, y, z) in board.items()]
     Path("markers.csv").write_text("\n".join(["setup,marker,x_m,y_m,z_m", *marks]) + "\n")
