@@ -177,10 +177,10 @@ def svg(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
 
 
 def _inline(page: str) -> str:
-    """Remove XML header, metadata and fixed size; add a fallback font."""
+    """Remove XML header and metadata; make the size the largest, so that the text of all pictures is alike; add a fallback font."""
     text = re.sub(r"<metadata>.*?</metadata>", "", page[page.index("<svg") :], flags=re.S)
     head, rest = text.split(">", 1)
-    head = re.sub(r' (?:width|height)="[^"]*"', "", head)
+    head = re.sub(r' width="([^"]*)" height="[^"]*"', r' style="max-width: \1"', head.replace("\n", " "))
     return head + ">" + rest.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
 
 

@@ -36,6 +36,7 @@ LINE_m, MARK_m = 0.0016, 0.003  # radii of lines and marks
 LINE_PIECES, MARKS_MOST = 250, 150
 SIZE_pixels: Final = (960, 720)
 AZIMUTH_deg, ELEVATION_deg, HEIGHT_deg = (125.0, -16.0, 45.0)  # of the camera; HEIGHT: MuJoCo's usual field of view
+WITHIN: Final = 0.95  # of the picture holds what is to be seen: lines have a width
 
 
 class Viewpoint(NamedTuple):
@@ -59,7 +60,7 @@ def nearest_view(points: Array) -> Viewpoint:
     ahead = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
     right = np.array([math.sin(a), -math.cos(a), 0.0])
     up = np.cross(right, ahead)
-    high = math.tan(math.radians(HEIGHT_deg) / 2.0)
+    high = WITHIN * math.tan(math.radians(HEIGHT_deg) / 2.0)
     wide = high * SIZE_pixels[0] / SIZE_pixels[1]
     seen = points - lookat
     needed = np.maximum(np.abs(seen @ up) / high, np.abs(seen @ right) / wide) - seen @ ahead

@@ -122,7 +122,9 @@ def test_the_view_holds_every_place_that_an_arm_reaches(count: int) -> None:
     for placed in cell.arms:
         for way in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]):
             place = np.array(placed.origin_m) + np.multiply(way, reach_m(placed.arm)) - camera.lookat
-            assert (np.abs(axes @ place) <= (camera.distance + ahead @ place) * half_wide * 1.001).all(), way
+            assert (np.abs(axes @ place) <= (camera.distance + ahead @ place) * half_wide * 0.96).all(), (
+                way
+            )  # a line there is whole
 
 
 @pytest.mark.parametrize("name", ["so101", "widowx250"])
