@@ -191,7 +191,8 @@ class DriftLine:
 
     scatter: how much more the calibrations scatter than they say, at least 1; freedom: degrees of freedom of that, 0 of two
     calibrations; chi_squared: of their scatter. toward (r, n): one radian of each joint's zero, halfway; NaN: not in the record.
-    unseen: combinations of geometry that show at the tip and that the calibrations do not tell the drift of.
+    zeros_rad (n,): at the last calibration, from arm.toml's. unseen: combinations of geometry that show at the tip and that the
+    calibrations do not tell the drift of.
     """
 
     poses_count: int
@@ -253,7 +254,7 @@ class _View:
         midway = self._model.slopes(0.5 * (self._table(first) + self._dh), self._q).by_dh
         self.toward = self._basis.T @ midway.reshape(-1, len(self._every))[:, thetas]
         self.toward[:, [self._every[place] not in last.names for place in thetas]] = np.nan
-        self.zeros_rad = self._dh.ravel()[thetas]
+        self.zeros_rad = (self._dh - arm.dh).ravel()[thetas]
 
     def seen(self, geometry: GeometryRecord) -> tuple[Array, Array]:
         """A calibration's coordinates (r,) and their information (r, r)."""
@@ -765,4 +766,4 @@ def _rate(rate: Rate) -> str:
 
 
 def _value(one: Rate) -> str:
-    return f"{MILLI * one.value:.4g} mrad" if one.unit == "rad" else f"{one.value:.4g}"
+    return f"{MILLI * one.value:.3f} mrad" if one.unit == "rad" else f"{one.value:.4g}"

@@ -177,7 +177,7 @@ def svg(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
 
 
 def _inline(page: str) -> str:
-    """Remove XML header and metadata; make the size the largest, so that the text of all pictures is alike; add a fallback font."""
+    """Remove XML header and metadata; the size is the largest, so that all pictures have the same text; add a fallback font."""
     text = re.sub(r"<metadata>.*?</metadata>", "", page[page.index("<svg") :], flags=re.S)
     head, rest = text.split(">", 1)
     head = re.sub(r' width="([^"]*)" height="[^"]*"', r' style="max-width: \1"', head.replace("\n", " "))

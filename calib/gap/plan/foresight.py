@@ -90,11 +90,7 @@ def of_boards(arm: Arm) -> tuple[str, ...]:
         if record.series is not None and record.series.needs == "electrical"
     )
     able = [drive for drive in without if "voltage" in arm.kind_of(drive).modes]
-    remedy = (
-        'mode = "voltage" in [drive.pid] would show them'
-        if len(able) == len(without)
-        else "its boards take no voltage, so measure these by hand; what currents, angles and tips show is recorded as ever"
-    )
+    remedy = 'mode = "voltage" in [drive.pid] would show them' if len(able) == len(without) else "measure these by hand"
     return (f"The board of {which} sets the motor's voltage itself, so no motion can name {hidden}: {remedy}.",)
 
 

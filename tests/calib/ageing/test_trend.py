@@ -41,6 +41,7 @@ def test_the_joint_that_drifts_is_named_with_its_rate_and_no_other() -> None:
     one, two, three = trend.rates
     assert (one.drifts, two.drifts, three.drifts) == (False, True, False)
     assert abs(two.change - RATE) < two.half < 0.2 * RATE
+    assert abs(two.value) < 0.02  # from the pi / 2 of arm.toml
     assert trend.geometry is not None
     assert (trend.geometry.rest_drifts, trend.geometry.is_steady, trend.geometry.line.unseen) == (False, True, 0)
     assert "joint 2: zero drifts by " in said(trend)
