@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -135,27 +135,45 @@ def _count(text: str) -> int:
 
 
 WIDTH, HEIGHT = 61, 25  # a character is twice as high as wide
-SIGNS: Mapping[Mark, str] = {Mark.DONE: "#", Mark.LEFT: ".", Mark.SKIPPED: "-", Mark.BAD: "x"}
-CURRENT, PARTLY = "O", "+"
+SIGNS = {"done": "#", "partly": "+", "now": "O", "left": ".", "skipped": "-", "bad": "x"}
 LEGEND = "# done  + some repeats  O now  . left  - skipped  x bad"
 
 
 def board_text(state: SessionState, cavities_m: Mapping[str, Vector], setup: str, current: Target | None) -> str:
     """The cavities of one setup, seen from above, the board's x axis to the right."""
-    marks = {name: _sign(state, setup, name, current) for name in cavities_m}
-    shown = {name: cavities_m[name] for name, sign in marks.items() if sign}
+    shown = board(state, cavities_m, setup, current.point if current is not None else "")
     if not shown:
         return f"setup {setup}: this session has no cavities there\n"
-    left_m, right_m = min(p[0] for p in shown.values()), max(p[0] for p in shown.values())
-    low_m, high_m = min(p[1] for p in shown.values()), max(p[1] for p in shown.values())
+    xs_m, ys_m = [cavity.x_m for cavity in shown], [cavity.y_m for cavity in shown]
+    left_m, right_m, low_m, high_m = min(xs_m), max(xs_m), min(ys_m), max(ys_m)
     per_column = max((right_m - left_m) / (WIDTH - 1), (high_m - low_m) / (2 * (HEIGHT - 1)), 1e-6)
     rows = round((high_m - low_m) / (2 * per_column)) + 1
     grid = [[" "] * WIDTH for _ in range(rows)]
-    for name, (x, y, _) in shown.items():
-        grid[round((high_m - y) / (2 * per_column))][round((x - left_m) / per_column)] = marks[name]
+    for cavity in shown:
+        grid[round((high_m - cavity.y_m) / (2 * per_column))][round((cavity.x_m - left_m) / per_column)] = SIGNS[cavity.mark]
     drawn = "\n".join("  " + "".join(line).rstrip() for line in grid)
     now = f"; now: {current.name}" if current is not None else ""
     return f"setup {setup}{now}\n{drawn}\n  {LEGEND}\n"
+
+
+class Cavity(NamedTuple):
+    """A cavity of the present setup: its place on the board, and a key of SIGNS."""
+
+    name: str
+    x_m: float
+    y_m: float
+    mark: str
+
+
+def board(state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str) -> list[Cavity]:
+    """Each cavity of a setup that the session uses."""
+    cavities = []
+    for name, (x, y, _) in cavities_m.items():
+        marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}
+        if marks:
+            mark = "now" if name == now else marks.pop().value if len(marks) == 1 else "partly"
+            cavities.append(Cavity(name, x, y, mark))
+    return cavities
 
 
 def status_text(state: SessionState) -> str:
@@ -182,18 +200,6 @@ def _names(state: SessionState, setup: str) -> str:
 
 def _short(keys: Iterable[tuple[str, str, int]]) -> list[str]:
     return [point if repeat == 1 else f"{point} (repeat {repeat})" for _, point, repeat in keys]
-
-
-def _sign(state: SessionState, setup: str, name: str, current: Target | None) -> str:
-    """The character of a cavity; empty if the session does not use it."""
-    if current is not None and (current.setup, current.point) == (setup, name):
-        return CURRENT
-    marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}
-    if not marks:
-        return ""
-    if len(marks) == 1:
-        return SIGNS[marks.pop()]
-    return PARTLY
 
 
 class Words(Protocol):
@@ -418,30 +424,20 @@ class Reporter(SessionOperator):
 
     def _asked(self, ask: Ask) -> SessionCommand:
         state, target = self._folder.state, ask.target
-        setup = target.setup if target is not None else self._folder.standing
+        setup, now = (target.setup, target.point) if target is not None else (self._folder.standing, "")
+        cavities = board(state, self._words.cavities_m, setup, now)
         report(
             {
                 "ask": ask.question.name,
                 "prompt": self._prompt(ask),
                 "setup": setup,
-                "point": target.point if target is not None else "",
+                "point": now,
                 "done": state.count(Mark.DONE),
                 "left": state.count(Mark.LEFT),
-                "board": board(state, self._words.cavities_m, setup, target.point if target is not None else ""),
+                "board": [cavity._asdict() for cavity in cavities],
             }
         )
         return super()._asked(ask)
-
-
-def board(state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str) -> list[dict[str, object]]:
-    """Each cavity of a setup that the session uses: its place on the board and whether it is done."""
-    cavities: list[dict[str, object]] = []
-    for name, (x, y, _) in cavities_m.items():
-        marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}
-        if marks:
-            mark = "now" if name == now else (marks.pop().value if len(marks) == 1 else "partly")
-            cavities.append({"name": name, "x_m": x, "y_m": y, "mark": mark})
-    return cavities
 
 
 def _mm(length_m: float) -> float | None:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Self
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from control.dynamics.tuning import Response
 from control.errors import ArmError
 from control.hardware.connect import connect
-from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode
+from control.hardware.interface import Hardware, OutputMode
 from control.hardware.words import Wanted
 from control.model.arm import Arm
 from control.model.joint_map import JointMap
@@ -165,12 +165,9 @@ class Trace:
 
 
 class Probe:
-    """`control.hardware.interface.Hardware` that forwards all calls and adds the signal."""
+    """A `control.hardware.interface.Hardware` in front of another, which adds the signal."""
 
     def __init__(self, hardware: Hardware, clock: Clock) -> None:
-        self.feedback: Feedback = hardware.feedback
-        self.offers = hardware.offers
-        self.end: EndBoards = hardware.end
         self.trace = Trace()
         self._hardware, self._clock = hardware, clock
         self._joint: int | None = None
@@ -191,28 +188,6 @@ class Probe:
         self._joint = None
         return self.trace
 
-    @property
-    def gone(self) -> str:
-        """Why a link is gone; empty while all are there."""
-        return self._hardware.gone
-
-    @property
-    def is_polled(self) -> bool:
-        """Whether some of its boards speak only when they are asked."""
-        return self._hardware.is_polled
-
-    def attend(self, until_s: float, beside: Sequence[Hardware] = ()) -> None:
-        """As the hardware."""
-        self._hardware.attend(until_s, beside)
-
-    def polled_lines(self) -> Sequence[Attended]:
-        """As the hardware."""
-        return self._hardware.polled_lines()
-
-    def read(self) -> Feedback:
-        """As the hardware."""
-        return self._hardware.read()
-
     def write(self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]) -> None:
         """As the hardware, with the signal added to one joint while the loop controls it."""
         joint = self._joint
@@ -225,55 +200,15 @@ class Probe:
         outputs = list(output)
         outputs[joint] = min(max(outputs[joint] + added, -self._limit), self._limit)
         trace.t_s.append(self._clock.now_s())
-        trace.count.append(self.feedback.count[joint])
+        trace.count.append(self._hardware.feedback.count[joint])
         trace.output.append(outputs[joint])
         trace.added.append(outputs[joint] - output[joint])
         self._hardware.write(wanted, modes, outputs, feedforward_V)
         self._on_cycle(cycle)
 
-    def has_torque(self) -> bool:
-        """As the hardware."""
-        return self._hardware.has_torque()
-
-    def prepare(self) -> None:
-        """As the hardware."""
-        self._hardware.prepare()
-
-    def watch_indices(self, is_wanted: bool) -> None:
-        """As the hardware."""
-        self._hardware.watch_indices(is_wanted)
-
-    def await_counts(self, made_s: float, until_s: float) -> float:
-        """As the hardware."""
-        return self._hardware.await_counts(made_s, until_s)
-
-    def passed_indices(self) -> list[tuple[int, int]]:
-        """As the hardware."""
-        return self._hardware.passed_indices()
-
-    def reset_drive_faults(self) -> None:
-        """As the hardware."""
-        self._hardware.reset_drive_faults()
-
-    def reset_gripper(self) -> None:
-        """As the hardware."""
-        self._hardware.reset_gripper()
-
-    def emergency_stop(self) -> None:
-        """As the hardware."""
-        self._hardware.emergency_stop()
-
-    def arm_index(self, joint: int) -> None:
-        """As the hardware."""
-        self._hardware.arm_index(joint)
-
-    def index_count(self, joint: int) -> int | None:
-        """As the hardware."""
-        return self._hardware.index_count(joint)
-
-    def shift_count(self, joint: int, counts: int) -> None:
-        """As the hardware."""
-        self._hardware.shift_count(joint, counts)
+    def __getattr__(self, name: str) -> Any:
+        """All else as the hardware."""
+        return getattr(self._hardware, name)
 
 
 PASS_SPEED_rad_s = 0.22  # faster than the signal's motion, so that the joint never reverses
@@ -315,7 +250,7 @@ class TuningSession:
         self.period_s = 1.0 / arm.usual_rate_Hz
         self._connection = connect(arm, clock, self.period_s)
         self.probe = Probe(self._connection.hardware, clock)
-        self._assembly = assemble(arm, self.probe, self.period_s)
+        self._assembly = assemble(arm, cast(Hardware, self.probe), self.period_s)
         self._channel = InProcessChannel(self._assembly, clock)
         self.client = ArmClient(self._channel)
 
