@@ -77,6 +77,16 @@ def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> s
     return "\n".join(indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True)) for row in cells)
 
 
+def listed(names: Sequence[str]) -> str:
+    """a, b and c."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def first_of(names: Sequence[str], most: int) -> str:
+    """a, b, c; where there are more than `most`, how many: a, b and 3 more."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
 def _reconfigure(stream: TextIO | None, errors: str) -> None:
     reconfigure = getattr(stream, "reconfigure", None)  # a replaced stream may have no `reconfigure`
     if reconfigure is not None:

@@ -109,12 +109,6 @@ def sheet(arm: Arm) -> ArmSheet:
     )
 
 
-def torque_limit_Nm(drive: Drive) -> float:
-    """At the joint: at the current limit, or stalled at the full supply if that is less."""
-    current_A = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
-    return current_A * drive.torque_constant_Nm_A * drive.gear_ratio
-
-
 def _above_floor(arm: Arm, q: Array) -> np.ndarray:
     lowest = np.min([corner[2] for corner in Corners(arm).batch(q)], axis=0)
     return np.asarray(lowest >= arm.limits.floor_z_m + arm.limits.floor_clearance_m)
@@ -159,7 +153,7 @@ def _joint(arm: Arm, joint: int, q: Array, gravity: Array | None) -> JointFigure
         upper_rad=upper,
         speed_rad_s=drive.joint_speed_limit_rad_s,
         free_speed_rad_s=drive.supply_V / (drive.torque_constant_Nm_A * drive.gear_ratio),
-        torque_Nm=torque_limit_Nm(drive),
+        torque_Nm=drive.torque_limit_Nm,
         gravity_Nm=held,
         moving_Nm=_moving_Nm(arm, drive, q, gravity),
         step_rad=1.0 / abs(JointMap(drive).counts_per_radian),
@@ -182,7 +176,7 @@ def _payload(arm: Arm, q: Array, empty: Array, laden: Array | None) -> Payload |
     """
     if laden is None:
         return None
-    limits = np.array([torque_limit_Nm(arm.drive(j)) for j in range(1, arm.joint_count + 1)])
+    limits = np.array([arm.drive(j).torque_limit_Nm for j in range(1, arm.joint_count + 1)])
     per_kg = laden - empty
     with np.errstate(divide="ignore"):
         most = (limits - np.sign(per_kg) * empty) / np.abs(per_kg)

@@ -44,7 +44,6 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.plain_text import Advance
-from procedures.arm_sheet import torque_limit_Nm
 from procedures.mock import saved_mock
 from procedures.tour import Bench, How, Rows, Stop, note_plan, tour
 
@@ -85,7 +84,7 @@ def largest_load_kg(arm: Arm, cube: TestCube) -> float:
     """
     q_rad = _solved(solver_of(arm, cube), cube.poses()["P1"])
     per_kg = np.abs(np.array(arm.gravity_m_s2) @ ForwardKinematics(arm).jacobians([q_rad])[0])
-    allowed_Nm = arm.limits.unexplained_torque * np.array([torque_limit_Nm(drive) for drive in arm.drives])
+    allowed_Nm = arm.limits.unexplained_torque * np.array([drive.torque_limit_Nm for drive in arm.drives])
     return float((allowed_Nm / np.maximum(per_kg, 1e-9)).min())
 
 

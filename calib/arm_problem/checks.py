@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from calib.arrays import Array
 from calib.errors import UnusablePointsError
 from calib.points.points import Points, seen_again
 from control.model.arm import Arm
+from control.plain_text import first_of, listed
 
 POINTS_MINIMUM_COUNT = 4
 LINE_TOLERANCE = 5e-3  # spread across the best line, as a share of the spread along it: 1 mm for 0.2 m
@@ -125,9 +125,8 @@ def _copies(points: Points) -> tuple[str, ...]:
             seen[key] = row
     if not copies:
         return ()
-    listed_rows = ", ".join(f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies[:3])
-    more = f" and {len(copies) - 3} more" if len(copies) > 3 else ""
-    warning = f"poses {listed_rows}{more} are identical to the last digit: they are copies, not repeats, and add no information"
+    rows = first_of([f"{first + 1} and {row + 1} (lines {first + 2} and {row + 2})" for first, row in copies], 3)
+    warning = f"poses {rows} are identical to the last digit: they are copies, not repeats, and add no information"
     if len(copies) >= COPIES_SHARE * len(points) and not points.is_as_given:
         raise UnusablePointsError(f"{warning}; remove the copies, or {AS_GIVEN}")
     return (warning,)
@@ -140,8 +139,4 @@ def still_joints(q_rad: Array) -> tuple[str, ...]:
 
 def _still_joints(q_rad: Array) -> tuple[str, ...]:
     still = still_joints(q_rad)
-    return (f"{_listed(still)} never changes: these points do not test that joint",) if still else ()
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return (f"{listed(still)} never changes: these points do not test that joint",) if still else ()

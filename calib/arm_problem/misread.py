@@ -33,6 +33,7 @@ from control.model.arm import Arm
 from control.model.description import arm_names, load_arm
 from control.model.joint_map import JointMap
 from control.model.servos import SERVOS
+from control.plain_text import listed
 
 # A guess about input: what it looks like, the figures for and against, and what settles it.
 #
@@ -194,7 +195,7 @@ def _joint_columns(q: Array, position: Array) -> Iterator[Reading]:
     for order in _orders(n):
         wrong = [j for j in range(n) if order[j] != j]
         names = [f"q{j + 1}_rad" for j in wrong]
-        yield f"the columns {_listed(names)} look swapped", q[:, order], position
+        yield f"the columns {listed(names)} look swapped", q[:, order], position
     for j in range(n):
         flipped = q.copy()
         flipped[:, j] *= -1.0
@@ -211,7 +212,7 @@ def _position_columns(q: Array, position: Array) -> Iterator[Reading]:
     for order in itertools.permutations(range(3)):
         if order != (0, 1, 2):
             names = [f"{'xyz'[j]}_m" for j in range(3) if order[j] != j]
-            yield f"the columns {_listed(names)} look swapped", q, position[:, order]
+            yield f"the columns {listed(names)} look swapped", q, position[:, order]
     for axis in range(3):
         flipped = position.copy()
         flipped[:, axis] *= -1.0
@@ -231,10 +232,6 @@ def _orders(n: int) -> Iterator[list[int]]:
 
 def _length(distance_m: float) -> str:
     return f"{1e3 * distance_m:.3g} mm" if distance_m < 1.0 else f"{distance_m:.3g} m"
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 OFF_rad = 0.35  # mean angle at nominal beyond which they are not this arm's: deviations of 2 deg make a few of them

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen, norms
 from calib.boards import Markers
 from calib.capture.alignment import Alignment, JointMotion
@@ -111,8 +112,7 @@ def _pose(motion: JointMotion, t_s: Array, rows: Rows, body: BodyTrack, begin_s:
     place = body.position_m[rows].mean(axis=0)
     turn, off_rad = None, np.zeros((len(rows), 3))
     if body.rotation is not None:
-        left, _, right = np.linalg.svd(body.rotation[rows].mean(axis=0))
-        turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        turn = mean_rotation(body.rotation[rows])
         off_rad = logarithms(body.rotation[rows] @ turn.T)
     q_rad = motion.q_rad[inside].mean(axis=0)
     return _Pose(float(t_s[rows[0]]), q_rad, direction, place, turn, body.position_m[rows] - place, off_rad)

@@ -14,6 +14,7 @@ from struct import error, unpack_from
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from control.files import read_bytes
@@ -136,8 +137,7 @@ def relative(body: BodyTrack, base: BodyTrack) -> BodyTrack:
         raise CaptureError(
             f"the base body moves by {1e3 * float(np.quantile(far, 0.95)):.0f} mm: expected one that stands with the arm"
         )
-    left, _, right = np.linalg.svd(base.rotation[rows].mean(axis=0))
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    turn = mean_rotation(base.rotation[rows])
     origin = base.position_m[rows].mean(axis=0)
     return BodyTrack((body.position_m - origin) @ turn, None if body.rotation is None else turn.T @ body.rotation)
 

@@ -27,7 +27,7 @@ from control.kinematics.rotation import quaternion_of, quaternions
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import save_arm
-from control.plain_text import Advance, aligned, silent
+from control.plain_text import Advance, aligned, first_of, silent
 
 CONTACTS_LEAST = 6
 FOLDS = 5
@@ -349,14 +349,12 @@ def remarks(pair: PairFound) -> Iterator[str]:
         wrong = np.flatnonzero(after > max(CONTRADICTED * float(np.median(after)), LEAST_m))
         if len(wrong) and is_enough:
             worst = wrong[np.argsort(-after[wrong])]
-            named = [f"{pair.names[row]} ({1e3 * after[row]:.2f} mm)" for row in worst[:NAMED]]
-            more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
-            yield f"Contradicted by the others: {', '.join(named)}{more}. Look at them; remove what was not a contact"
+            named = first_of([f"{pair.names[row]} ({1e3 * after[row]:.2f} mm)" for row in worst], NAMED)
+            yield f"Contradicted by the others: {named}. Look at them; remove what was not a contact"
     at_bound = [one.parameter.name for one in pair.estimates if one.is_at_bound]
     if at_bound:
-        more = f" and {len(at_bound) - NAMED} more" if len(at_bound) > NAMED else ""
         yield (
-            f"At their bounds: {', '.join(at_bound[:NAMED])}{more}. If parts may be that far off, give a larger --bound;"
+            f"At their bounds: {first_of(at_bound, NAMED)}. If parts may be that far off, give a larger --bound;"
             " else look for a wrong contact"
         )
     if not is_enough:

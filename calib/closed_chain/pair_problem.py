@@ -21,7 +21,7 @@ import numpy.typing as npt
 from calib.arm_problem.arm_model import ArmModel, Bounds, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.frames import Frame, cross_matrix, left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.joint_effects import known_corrections
-from calib.arm_problem.posed import inverse_jacobians
+from calib.arm_problem.posed import in_threes, inverse_jacobians
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
@@ -240,7 +240,7 @@ class PairProblem:
         theirs = self.models[1].tips(two[0], self.contacts.second_rad, two[1])
         gap = self.base.moved(self._centre, move).to_base(theirs) - ours
         far = norms(gap[self._far]) - self.contacts.distance_m[self._far]
-        return np.concatenate((gap[self._near], _in_threes(far), LEVER_m * self.angles_rad(x)))[rows]
+        return np.concatenate((gap[self._near], in_threes(far), LEVER_m * self.angles_rad(x)))[rows]
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL, at_zero: bool = False) -> tuple[Array, Array]:
         """(rows, 3) and (rows, 3, k); `at_zero`: that of orientations as if they fitted."""
@@ -250,8 +250,8 @@ class PairProblem:
         far = length - self.contacts.distance_m[self._far]
         by_far = np.einsum("mi,mik->mk", along, by_x[self._far])
         angles, by_angle = self._turned(x, at_zero)
-        error = np.concatenate((gap[self._near], _in_threes(far), LEVER_m * angles))
-        slopes = np.concatenate((by_x[self._near], _in_threes(by_far), by_angle))
+        error = np.concatenate((gap[self._near], in_threes(far), LEVER_m * angles))
+        slopes = np.concatenate((by_x[self._near], in_threes(by_far), by_angle))
         return error[rows], slopes[rows]
 
     def expanded(self, x: Array, rows: slice = ALL) -> PairExpansion:
@@ -383,13 +383,6 @@ def _lengths(vectors: Array) -> tuple[Array, Array]:
     """Lengths (m,) and directions (m, 3)."""
     length = norms(vectors)
     return length, vectors / np.maximum(length, 1e-12)[:, None]
-
-
-def _in_threes(values: Array) -> Array:
-    """Numbers (f, ...) as rows of three (r, 3, ...), the last filled up with zeros."""
-    missing = -len(values) % 3
-    filled = np.concatenate((values, np.zeros((missing, *values.shape[1:]))))
-    return filled.reshape(-1, 3, *values.shape[1:])
 
 
 # Tools that are joined rigidly: the orientation of the second in the first is the same at all contacts of one join.

@@ -266,18 +266,12 @@ def joint_figures(arm: Arm, joint: int) -> DriveFigures:
     return DriveFigures(
         lower_rad=lower,
         upper_rad=upper,
-        torque_Nm=_torque_Nm(drive) if drive else math.inf,
+        torque_Nm=drive.torque_limit_Nm if drive else math.inf,
         speed_rad_s=_speed_rad_s(drive) if drive else math.inf,
         rotor_kg_m2=drive.gear_ratio**2 * drive.rotor_inertia_kg_m2 if drive else 0.0,
         viscous_Nm_s_rad=_effect(arm, "viscous_friction", joint, "coefficient_Nm_s_rad"),
         coulomb_Nm=_effect(arm, "coulomb_friction", joint, "torque_Nm"),
     )
-
-
-def _torque_Nm(drive: Drive) -> float:
-    """At the current limit, or stalled at the full supply if that is less."""
-    current_A = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
-    return current_A * drive.torque_constant_Nm_A * drive.gear_ratio
 
 
 def _speed_rad_s(drive: Drive) -> float:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from calib.arm_problem.arm_model import Parameter
 from calib.arm_problem.expansion import Problem
 from calib.arrays import Array, Mask, frozen
+from control.plain_text import first_of, listed
 
 # Describes what points leave undetermined: which parameters move together, and what compensates them.
 
@@ -179,9 +180,7 @@ def _change(parameter: Parameter, share: float) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     """a, b and c."""
-    if len(names) > LISTED_LIMIT:
-        return f"{', '.join(names[:LISTED_LIMIT])} and {len(names) - LISTED_LIMIT} more"
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return listed(names) if len(names) <= LISTED_LIMIT else first_of(names, LISTED_LIMIT)
 
 
 BLOCK: Final = 20_000  # poses: 8 MB for 16 unknowns

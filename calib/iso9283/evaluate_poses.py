@@ -11,6 +11,7 @@ from calib.iso9283.criteria import pose
 from calib.iso9283.criteria.pose import Compliance, Iso9283Error, static_compliance
 from calib.iso9283.recorded import PoseGroup
 from calib.iso9283.result import Criterion, Figure, criterion, with_headlines
+from control.plain_text import first_of
 
 SAME_POSE_m = 1e-4  # commanded positions closer than this are the same pose
 OWN_SETUPS = ("from_x", "from_y", "from_z", "distance", "load", "posing")
@@ -36,7 +37,7 @@ def pose_criterion(groups: Groups) -> Criterion:
     if not chosen:
         needs.append("repeated visits of poses (P1 to P5, thirty times each) in points.csv")
     if once := [_named(group) for group in chosen if len(group.attained_m) == 1]:
-        needs.append(f"for the repeatability a second visit of {_listed(once)}")
+        needs.append(f"for the repeatability a second visit of {first_of(once, NAMES_SAID)}")
     if not any(group.angle_rad is not None for group in chosen):
         needs.append(ORIENTATION)
     return criterion(1, with_headlines(figures), needs)
@@ -217,11 +218,5 @@ def _unseen(groups: Groups) -> list[str]:
     if not missing:
         return []
     visits = missing + sum(len(group.attained_m) for group in groups)
-    where = _listed([_named(group) for group in groups if group.unseen])
+    where = first_of([_named(group) for group in groups if group.unseen], NAMES_SAID)
     return [f"a tip measured by a camera (x_m, y_m, z_m) in {missing} of {visits} visits: of {where}"]
-
-
-def _listed(names: Sequence[str]) -> str:
-    """The first names, and how many more there are."""
-    more = len(names) - NAMES_SAID
-    return ", ".join(names[:NAMES_SAID]) + (f" and {more} more" if more > 0 else "")

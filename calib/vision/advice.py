@@ -11,7 +11,7 @@ from calib.arrays import Array
 from calib.vision.intrinsics import LensFit, SeenPicture, TILT_rad
 from calib.vision.lens import NAMES
 from calib.vision.poses import MeasuredPose, PoseSet
-from control.plain_text import aligned
+from control.plain_text import aligned, first_of
 
 PICTURES_WANTED = 15
 CELLS = 3  # rows and columns of the picture that each need corners
@@ -59,9 +59,9 @@ def uncovered(fit: LensFit) -> tuple[str, ...]:
 
 def _about_count(fit: LensFit) -> str:
     if len(fit.seen) < PICTURES_WANTED:
-        without = f" (no board in {_listed(fit.unseen)})" if fit.unseen else ""
+        without = f" (no board in {first_of(fit.unseen, NAMED_MOST)})" if fit.unseen else ""
         return f"{len(fit.seen)} pictures show the board{without}: take at least {PICTURES_WANTED}"
-    return f"no board found in {_listed(fit.unseen)}: not used" if fit.unseen else ""
+    return f"no board found in {first_of(fit.unseen, NAMED_MOST)}: not used" if fit.unseen else ""
 
 
 def _about_coverage(fit: LensFit) -> str:
@@ -139,12 +139,7 @@ def systematic_px(fit: LensFit) -> float:
 
 def _named(seen: Sequence[SeenPicture], is_so: Callable[[SeenPicture], bool], what: str) -> str:
     names = [one.sighting.name for one in seen if is_so(one)]
-    return f"{_listed(names)}: {what}" if names else ""
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - NAMED_MOST
-    return ", ".join(names[:NAMED_MOST]) + (f" and {more} more" if more > 0 else "")
+    return f"{first_of(names, NAMED_MOST)}: {what}" if names else ""
 
 
 REJECTED_NAMED = 8

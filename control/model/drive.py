@@ -147,6 +147,11 @@ class Drive:
         return 2.0 * math.pi / self.encoder_turns
 
     @property
+    def torque_limit_Nm(self) -> float:
+        """At the joint: at the current limit, or stalled at the full supply if that is less."""
+        return min(self.current_limit_A, self.supply_V / self.resistance_ohm) * self.torque_constant_Nm_A * self.gear_ratio
+
+    @property
     def at_motor(self) -> "Drive":
         """The drive by the encoder that its motor board reads, which counts up with the motor's angle at the joint's sign."""
         if self.motor_counts_per_rev is None:

@@ -58,7 +58,7 @@ def _doubted(path: tuple[str | int, ...], value: float, expected: str, unit: str
 
 def _check_rotor(drive: Drive, index: int) -> None:
     rotor = drive.gear_ratio * drive.gear_ratio * drive.rotor_inertia_kg_m2
-    most = _torque_Nm(drive) / rotor if rotor > 0.0 else math.inf
+    most = drive.torque_limit_Nm / rotor if rotor > 0.0 else math.inf
     if most < TOO_SLOW_rad_s2:
         expected = f"an inertia that its motor can turn (its joint would gain {most:.2g} rad/s each second)"
         path = ("drive", index, "rotor_inertia_kg_m2")
@@ -88,17 +88,11 @@ def _check_acceleration(drive: Drive, index: int) -> None:
     rotor = drive.gear_ratio * drive.gear_ratio * drive.rotor_inertia_kg_m2  # `**` raises where this is infinite
     if not math.isfinite(limit) or rotor == 0.0:
         return
-    most = _torque_Nm(drive) / rotor
+    most = drive.torque_limit_Nm / rotor
     if limit > TOO_QUICK * most:
         expected = f"an acceleration in rad/s^2 that its motor can give its rotor alone ({most:.3g})"
         path = ("drive", index, "joint_acceleration_limit_rad_s2")
         raise _doubted(path, limit, expected, "degrees per s^2", _RAD_PER_DEG)
-
-
-def _torque_Nm(drive: Drive) -> float:
-    """At the joint: at the current limit, or stalled at the full supply if that is less."""
-    current_A = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
-    return current_A * drive.torque_constant_Nm_A * drive.gear_ratio
 
 
 def _check_parameter(path: tuple[str | int, ...], effect: str, name: str, value: float) -> None:
@@ -127,7 +121,7 @@ def _check_masses(arm: Arm) -> None:
     lifted = arm.links[_column(arm) :]
     reach_m = sum(abs(k.L_m) + abs(k.d_m) for k in lifted) + math.hypot(*arm.tool.position_m)
     total_kg = sum(k.mass_kg or 0.0 for k in lifted)
-    strongest_Nm = max((_torque_Nm(drive) for drive in arm.drives), default=0.0)
+    strongest_Nm = max((drive.torque_limit_Nm for drive in arm.drives), default=0.0)
     if len(arm.drives) == arm.joint_count:
         is_too_heavy = 0.5 * total_kg * GRAVITY_m_s2 * reach_m > TOO_HEAVY * strongest_Nm
         what = f"the strongest joint gives {strongest_Nm:.3g} N m"

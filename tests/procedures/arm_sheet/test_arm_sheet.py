@@ -13,7 +13,7 @@ from console.main import main
 from control.dynamics.dynamics import Dynamics
 from control.model.arm import Arm, CanBus
 from control.model.description import load_arm, save_arm
-from procedures.arm_sheet import missing, sheet, sheet_lines, torque_limit_Nm, warnings
+from procedures.arm_sheet import missing, sheet, sheet_lines, warnings
 from procedures.on_boards import on_boards
 from tests.cell import with_drive, with_drives
 from tests.places import ARMS
@@ -35,7 +35,7 @@ def test_the_payload_is_what_the_weakest_joint_holds_in_the_worst_pose() -> None
     payload = sheet(RIGHT).payload
     assert payload is not None
     q = np.random.default_rng(5).uniform(*np.array(RIGHT.limits_rad).T, (2000, 3))
-    limits = [torque_limit_Nm(drive) for drive in RIGHT.drives]
+    limits = [drive.torque_limit_Nm for drive in RIGHT.drives]
     stretched = np.array([[0.0, -math.pi / 2, math.pi / 2 - 0.02]])  # joint 2 as loaded as it can be
     torques = np.abs(Dynamics(RIGHT, payload.everywhere_kg).torques(q, 0 * q, 0 * q))
     assert (torques <= 1.02 * np.array(limits)).all()
@@ -50,7 +50,7 @@ def test_the_payload_that_is_moved_is_what_the_weakest_joint_accelerates_whichev
     q = random.uniform(*np.array(RIGHT.limits_rad).T, (2000, 3))
     fastest = [drive.joint_acceleration_limit_rad_s2 for drive in RIGHT.drives]
     accelerations = random.choice([-1.0, 1.0], (2000, 3)) * fastest
-    limits = np.array([torque_limit_Nm(drive) for drive in RIGHT.drives])
+    limits = np.array([drive.torque_limit_Nm for drive in RIGHT.drives])
     loads = [np.abs(Dynamics(RIGHT, kg).torques(q, 0 * q, accelerations)) / limits for kg in (payload.moving_kg, 4.0)]
     assert 0.8 < loads[0].max() <= 1.02
     assert loads[0].max(axis=0).argmax() == payload.moving_joint - 1
