@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -85,6 +86,27 @@ def nobody_below() -> Iterator[None]:
     """A shutdown does not wait until the arm has sunk: for modules whose claims are others."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("control.loop.standstill.SINK_LIMIT_S", 0.6)
+        yield
+
+
+@pytest.fixture(scope="module")
+def unrendered() -> Iterator[None]:
+    """Pictures of pages are drawn and not rendered, which takes most of a page's time: for modules whose claims are others.
+
+    Each kind of page is rendered in the test of what it shows.
+    """
+    from matplotlib.figure import Figure
+
+    rendered = Figure.savefig
+
+    def save(figure: Figure, file: Any, **how: Any) -> None:
+        if isinstance(file, io.StringIO):
+            file.write('<svg width="1"></svg>')
+        else:
+            rendered(figure, file, **how)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", save)
         yield
 
 

@@ -146,7 +146,7 @@ def test_what_calibrate_holds_out_is_predicted_by_the_same_fit_as_its_result(fol
     bare = make_points(["free"] * 40, names, [1] * 40, q, np.zeros((40, 3)))
     tips = predicted_tips(true, bare) + rng.normal(0.0, NOISE_m, (40, 3))
     points = with_rows(bare, tip_m=tips)
-    plan = CalibrationPlan(Choice(effects=("joint_compliance:2",), bounds=Bounds(length_m=0.03)), LSQ, None, 2, starts_count=1)
+    plan = CalibrationPlan(Choice(effects=("joint_compliance:2",), bounds=Bounds(length_m=0.03)), LSQ, None, 2)
     held = calibrate(arm, points, plan).held
     assert held is not None
     for fold in held.folds[folds]:

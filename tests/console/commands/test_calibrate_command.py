@@ -18,6 +18,8 @@ from control.model.description import load_arm, save_arm
 from control.model.table import SETUPS, cavities, table_of
 from tests.places import REAL
 
+pytestmark = pytest.mark.usefixtures("unrendered")  # tests/calib/report looks at the page
+
 PANDA = REAL / "mukca_panda_1"
 HEADER = "setup,point,repeat,q1_rad,q2_rad,q3_rad,x_m,y_m,z_m\n"
 

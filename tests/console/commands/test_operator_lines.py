@@ -160,6 +160,7 @@ def test_nothing_follows_a_motion_that_somebody_stopped() -> None:
         assert "stopped before its end" in outcomes[0].transcript
 
 
+@pytest.mark.usefixtures("nobody_below")
 def test_what_depends_on_the_arm_is_refused_where_the_runtime_has_another_and_the_stop_is_not(tmp_path: Path) -> None:
     file = tmp_path / "edited.toml"
     links = (RIGHT.links[0], dataclasses.replace(RIGHT.links[1], L_m=0.35), *RIGHT.links[2:])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.closed_chain.planning import plan_contacts
 from console.main import main
 from console.options import CommandSpec
 from console.specs.table import COMMANDS
@@ -67,9 +68,10 @@ def test_a_plan_is_printed_and_nothing_written(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_folder_that_is_not_there_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("calib.closed_chain.planning.DRAWN", 600)  # poses of which it finds two contacts
+    monkeypatch.setattr(plan_contacts, "__defaults__", (600,))  # poses that it chooses two contacts from
     board = board_cavities(table_of(RIGHT))
     marks = [f"normal,{name},{x},{y},{z}" for name, (x, y, z) in board.items()]
     Path("markers.csv").write_text("\n".join(["setup,marker,x_m,y_m,z_m", *marks]) + "\n")

@@ -1,5 +1,7 @@
 """`armwright trust --design`: what it writes, that it goes on where it was stopped, and what it refuses."""
 
+import contextlib
+import io
 import json
 from pathlib import Path
 
@@ -11,17 +13,25 @@ from console.main import main
 TOLERANCES = "[joint.2]\nbacklash_rad = { from = 1e-3, to = 2e-3 }\nencoder_zero_rad = { sd = 2e-3 }\n"
 
 
-@pytest.fixture
-def line(tmp_path: Path) -> list[str]:
-    file = tmp_path / "t.toml"
+@pytest.fixture(scope="module")
+def line(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    file = tmp_path_factory.mktemp("tolerances") / "t.toml"
     file.write_text(TOLERANCES)
-    return ["trust", "--design", "right", "--tolerances", str(file), "--arms", "30", "--workers", "1"]
+    study = ["trust", "--design", "right", "--tolerances", str(file), "--arms", "30"]
+    return [*study, "--workers", "1", "--tolerance", "2mm"]
 
 
-def test_the_report_and_its_words(line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    assert main([*line, "--out", str(out), "--tolerance", "2mm"]) == 0
-    printed = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def whole(line: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A study that ran to its end, and what it printed."""
+    out, printed = tmp_path_factory.mktemp("whole") / "out", io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main([*line, "--out", str(out)]) == 0
+    return out, printed.getvalue()
+
+
+def test_the_report_and_its_words(line: list[str], whole: tuple[Path, str], capsys: pytest.CaptureFixture[str]) -> None:
+    out, printed = whole
     assert sorted(file.name for file in out.iterdir()) == ["map.npz", "report.html", "tolerances.json"]
     found = json.loads((out / "tolerances.json").read_text())
     assert (found["format"], found["arms"]) == ("tolerances/1", 30)
@@ -44,11 +54,11 @@ def test_the_report_and_its_words(line: list[str], tmp_path: Path, capsys: pytes
     assert "never overwritten" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("whole", "unrendered")
 def test_a_study_that_was_stopped_is_finished_and_another_one_refused(
-    line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: list[str], whole: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main([*line, "--out", str(tmp_path / "whole")]) == 0
     (out / "unfinished").mkdir(parents=True)
     (out / "unfinished" / "study.json").write_text('{"key": "of another"}')
     assert main([*line, "--out", str(out)]) == 2
@@ -57,7 +67,7 @@ def test_a_study_that_was_stopped_is_finished_and_another_one_refused(
     assert main([*line, "--out", str(out)]) == 0
     assert not (out / "unfinished").exists()
     for name in ("map.npz", "tolerances.json"):
-        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
 
 
 @pytest.mark.parametrize(
