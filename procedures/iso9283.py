@@ -44,7 +44,6 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.plain_text import Advance
-from procedures.mock import saved_mock
 from procedures.tour import Bench, How, Rows, Stop, note_plan, tour
 
 # For a time, not until rest: what an arm still does then is what the criteria measure. 20 camera frames are averaged.
@@ -218,15 +217,6 @@ def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
                 f"arm {arm.name}: a joint move between test poses could take the tip to z = {lowest_m:.3f} m, below"
                 f" the floor at {floor_m:g} m: choose a higher cube (--cube-centre, --cube-edge)"
             )
-
-
-def record_on_mock(
-    arm: Arm, scenario: str, seed: int | None, planned: Planned, out: Path, speed: float, advance: Advance
-) -> None:
-    """Home a mock of `arm` and run the plan; its scenario is saved in `out`, its recordings in `out`/log."""
-    advance("homing", 0.0)
-    with saved_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
-        record(arm, Bench(client, recording, bench.rig.set_payload, speed=speed), planned, out, advance)
 
 
 @dataclass(frozen=True, slots=True)

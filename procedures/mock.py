@@ -45,6 +45,7 @@ from hil_mocks.rig import MockHand, MockPorts, SimulatedArm, SteppedRig
 from hil_mocks.scenario import Scenario
 from procedures.folders import free_folder
 from procedures.ports import move_together
+from procedures.tour import Bench
 
 # The mock's boards and the loop share this machine with other programs, and a virtual machine may stall either for some
 # tenths of a second. Real boards are not stalled, so 20 ms of silence matter there; a mock arm is harmless.
@@ -411,10 +412,8 @@ def _without_none(value: object) -> object:
 
 
 @contextmanager
-def saved_mock(
-    arm: Arm, scenario: str, seed: int | None, out: Path, speed: float = 1.0
-) -> Iterator[tuple[SteppedBench, ArmClient, Path]]:
-    """A mock of `arm`, homed and holding: its bench, its client, the runtime's recording. Shut down on exit.
+def saved_mock(arm: Arm, scenario: str, seed: int | None, out: Path, speed: float = 1.0) -> Iterator[Bench]:
+    """The bench of a mock of `arm`, homed and holding. Shut down on exit.
 
     scenario.toml and the recordings in log are saved in `out`. CalibrationError if it holds another scenario.
     """
@@ -425,14 +424,14 @@ def saved_mock(
         raise CalibrationError(f"{file}: contains the records of another mock arm: choose another folder with --out")
     write_whole(file, drawn)
     log = free_folder(out / "log")
-    bench = SteppedBench(arm, file, log)
+    mock = SteppedBench(arm, file, log)
     try:
-        client = bench.start(arm)
+        client = mock.start(arm)
         client.enable()
         client.home()
-        yield bench, client, next(log.glob("*.armlog"))
+        yield Bench(client, next(log.glob("*.armlog")), mock.rig.set_payload, speed=speed)
         if arm.rest is not None:
             client.move_joints(arm.rest.q_rad, speed)
-        bench.stop()
+        mock.stop()
     finally:
-        bench.close()
+        mock.close()

@@ -30,10 +30,11 @@ from calib.trust.trust import MapRequest, trust_in
 from control.model.arm import Arm, Vector3
 from control.model.description import load_arm
 from control.motion.waypoints import Waypoints
+from control.plain_text import silent
 from control.server.client import ArmClient
 from hil_mocks.scenario import EffectTable, Scenario, load_scenario
-from procedures.gap.recording import record_on_mock
-from procedures.mock import SteppedBench, scenario_bytes
+from procedures.gap.recording import record
+from procedures.mock import SteppedBench, saved_mock, scenario_bytes
 from procedures.verify.survey import Model, SurveyedPath, track_of
 
 SORTS = ("demo", "play", "worn")
@@ -100,7 +101,8 @@ def gains(sort: str, seed: int, area_m: Vector3) -> list[Gain]:
         scenario = folder / "hidden.toml"
         scenario.write_bytes(scenario_bytes(hidden(sort, seed)))
         plan = recording_plan(nominal, PlanRequest(has_motions=False, is_quick=True))
-        record_on_mock(nominal, str(scenario), seed, plan, folder / "recorded", lambda *_: None)
+        with saved_mock(nominal, str(scenario), seed, folder / "recorded") as bench:
+            record(nominal, bench, plan, folder / "recorded", silent)
         points, _ = read_points(folder / "recorded" / "points.csv", nominal.joint_count)
         return list(_compared(nominal, points, sort, area_m, scenario, folder / "log"))
 

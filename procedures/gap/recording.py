@@ -192,16 +192,6 @@ def record(arm: Arm, bench: Bench, plan: RecordingPlan, out: Path, advance: Adva
     advance("recorded", 1.0)
 
 
-def record_on_mock(arm: Arm, scenario: str, seed: int | None, plan: RecordingPlan, out: Path, advance: Advance) -> None:
-    """Home a mock of `arm` and record; its scenario is saved in `out`, the runtime's recordings in `out`/log."""
-    from procedures.mock import saved_mock  # imports the physics
-
-    note(out, plan, arm)
-    advance("homing", 0.0)
-    with saved_mock(arm, scenario, seed, out) as (bench, client, recording):
-        record(arm, Bench(client, recording, bench.rig.set_payload), plan, out, advance)
-
-
 @dataclass(frozen=True, slots=True)
 class _RunFiles:
     """runs/NAME.csv of each run."""

@@ -150,7 +150,11 @@ def recorded(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Pat
         if not args.mock:
             record_on_arm(args, arm, plan, out)
             return
-        from procedures.gap.recording import record_on_mock
+        from procedures.gap.recording import note, record
+        from procedures.mock import saved_mock
 
+        note(out, plan, mocked)
         with Bar(what) as bar:
-            record_on_mock(mocked, args.scenario or "demo", args.seed, plan, out, bar.advance)
+            bar.advance("homing", 0.0)
+            with saved_mock(mocked, args.scenario or "demo", args.seed, out) as bench:
+                record(mocked, bench, plan, out, bar.advance)

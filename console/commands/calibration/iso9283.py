@@ -132,11 +132,12 @@ def _cube(args: argparse.Namespace, arm: Arm) -> TestCube:
 
 def _record_mock(args: argparse.Namespace, arm: Arm, planned: Planned, out: Path) -> None:
     """Record on a mock arm in this process; only this needs the simulation."""
-    from procedures.iso9283 import record_on_mock
+    from procedures.mock import saved_mock
 
     with Bar("iso9283") as bar:
-        speed = args.speed or MOCK_SPEED
-        record_on_mock(arm, args.scenario, args.seed, planned, out, speed, bar.advance)
+        bar.advance("homing", 0.0)
+        with saved_mock(arm, args.scenario, args.seed, out, args.speed or MOCK_SPEED) as bench:
+            record(arm, bench, planned, out, bar.advance)
 
 
 def _record_real(args: argparse.Namespace, arm: Arm, client: ArmClient, planned: Planned, out: Path) -> None:
