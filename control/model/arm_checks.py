@@ -1,13 +1,14 @@
 """Consistency checks between the values of an arm.toml; each error names the key."""
 
 import math
+import re
 from collections.abc import Hashable, Iterable, Sequence
 
-from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Home, Table
+from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Effect, Home, Table
 from control.model.board_kinds import KINDS, BoardKind, bus_conflict
 from control.model.camera import CameraStream
 from control.model.drive import OWN_INPUT
-from control.model.effects import check_effect
+from control.model.effects import EFFECTS, EffectKind, parameter_names
 from control.model.end_effector import Gripper
 from control.model.joint_map import JointMap
 from control.model.maps import check_map
@@ -419,15 +420,51 @@ def _check_table(table: Table) -> None:
 
 def _check_effects(arm: Arm) -> None:
     for index, effect in enumerate(arm.effects):
-
-        def fault(path: tuple[str, ...], expected: str, got: str, index: int = index) -> Rejected:
-            return Rejected(("effect", index, *path), expected, got)
-
-        check_effect(effect.effect, effect.joint, effect.parameters, arm.joint_count, len(arm.links), fault)
+        _check_effect(arm, effect, ("effect", index))
     _check_unique(
         ((("effect", i, "effect"), (effect.effect, effect.joint)) for i, effect in enumerate(arm.effects)),
         "each effect once per joint",
     )
+
+
+def _check_effect(arm: Arm, effect: Effect, path: tuple[str | int, ...]) -> None:
+    kind = EFFECTS.get(effect.effect)
+    if kind is None:
+        raise Rejected((*path, "effect"), "one of " + ", ".join(EFFECTS), f'"{effect.effect}"')
+    _check_place(arm, effect, kind, (*path, "joint"))
+    of_effect = (*path, "parameters")
+    for parameter in kind.required:
+        if parameter not in effect.parameters:
+            raise Rejected(of_effect, f"{parameter} of the effect {effect.effect}", "none")
+    for parameter, value in effect.parameters.items():
+        place = (*of_effect, parameter)
+        matched = re.fullmatch(kind.pattern, parameter) if kind.pattern else None
+        if matched is None and parameter not in (*kind.required, *kind.optional, *kind.one_of):
+            names = ", ".join(parameter_names(kind))
+            raise Rejected(place, f"one of the parameters {names} of {effect.effect}", "an unknown parameter")
+        if matched is not None and int(matched[1]) > len(arm.links):
+            raise Rejected(place, f"a link from 1 to {len(arm.links)}", matched[1])
+        if parameter in kind.positive and value <= 0:
+            raise Rejected(place, "a positive number", str(value))
+        if parameter in kind.not_negative and value < 0:
+            raise Rejected(place, "a number not below 0", str(value))
+    chosen = [parameter for parameter in kind.one_of if parameter in effect.parameters]
+    if kind.one_of and len(chosen) != 1:
+        raise Rejected(of_effect, "exactly one of " + ", ".join(kind.one_of), f"{len(chosen)} of them")
+
+
+def _check_place(arm: Arm, effect: Effect, kind: EffectKind, path: tuple[str | int, ...]) -> None:
+    joint = effect.joint
+    if kind.place == "none":
+        if joint is not None:
+            raise Rejected(path, f"no joint for the effect {effect.effect}", str(joint))
+    elif joint is None:
+        if kind.place != "joint or none":
+            raise Rejected(path, f"the {kind.place} of the effect {effect.effect}", "nothing")
+    else:
+        count = arm.joint_count if kind.place == "joint" else len(arm.links)
+        if not 1 <= joint <= count:
+            raise Rejected(path, f"a {kind.place.removesuffix(' or none')} from 1 to {count}", str(joint))
 
 
 def _check_maps(arm: Arm) -> None:

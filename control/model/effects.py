@@ -9,7 +9,6 @@ motor has to add to overcome it. The sign of a speed is smooth, tanh(speed / SMO
 """
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol
@@ -295,54 +294,7 @@ def total(effect: str, known: Mapping[str, float], further: Mapping[str, float])
     return {**known, **further, **kind.linear.parameters(summed)}
 
 
-Fault = Callable[[tuple[str, ...], str, str], Exception]
-
-
 def parameter_names(kind: EffectKind) -> tuple[str, ...]:
     """Return the parameters of this kind of effect for an error message."""
     pattern = ("link<i>_d_m", "link<i>_theta_rad", "link<i>_L_m", "link<i>_alpha_rad") if kind.pattern else ()
     return (*kind.required, *kind.optional, *kind.one_of, *pattern)
-
-
-def check_effect(name: str, joint: int | None, parameters: Mapping[str, float], joints: int, links: int, fault: Fault) -> None:
-    """Raise `fault(path inside the effect, expected, got)` if an effect does not conform to docs/formats.md."""
-    kind = EFFECTS.get(name)
-    if kind is None:
-        raise fault(("effect",), "one of " + ", ".join(EFFECTS), f'"{name}"')
-    _check_place(name, kind, joint, joints, links, fault)
-    for parameter in kind.required:
-        if parameter not in parameters:
-            raise fault(("parameters",), f"{parameter} of the effect {name}", "none")
-    for parameter, value in parameters.items():
-        _check_parameter(name, kind, parameter, value, links, fault)
-    chosen = [parameter for parameter in kind.one_of if parameter in parameters]
-    if kind.one_of and len(chosen) != 1:
-        raise fault(("parameters",), "exactly one of " + ", ".join(kind.one_of), f"{len(chosen)} of them")
-
-
-def _check_place(name: str, kind: EffectKind, joint: int | None, joints: int, links: int, fault: Fault) -> None:
-    if kind.place == "none":
-        if joint is not None:
-            raise fault(("joint",), f"no joint for the effect {name}", str(joint))
-    elif joint is None:
-        if kind.place != "joint or none":
-            raise fault(("joint",), f"the {kind.place} of the effect {name}", "nothing")
-    else:
-        count = joints if kind.place == "joint" else links
-        if not 1 <= joint <= count:
-            word = kind.place.removesuffix(" or none")
-            raise fault(("joint",), f"a {word} from 1 to {count}", str(joint))
-
-
-def _check_parameter(name: str, kind: EffectKind, parameter: str, value: float, links: int, fault: Fault) -> None:
-    path = ("parameters", parameter)
-    matched = re.fullmatch(kind.pattern, parameter) if kind.pattern else None
-    if matched is None and parameter not in (*kind.required, *kind.optional, *kind.one_of):
-        names = ", ".join(parameter_names(kind))
-        raise fault(path, f"one of the parameters {names} of {name}", "an unknown parameter")
-    if matched is not None and int(matched[1]) > links:
-        raise fault(path, f"a link from 1 to {links}", matched[1])
-    if parameter in kind.positive and value <= 0:
-        raise fault(path, "a positive number", str(value))
-    if parameter in kind.not_negative and value < 0:
-        raise fault(path, "a number not below 0", str(value))
