@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arm_problem.assembly import Choice
 from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.distances.calibrate import DistancePlan, DistancesFound, calibrate_with_distances
+from calib.distances.problem import Wires
 from calib.points.points import Points, make_points
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
@@ -103,9 +105,10 @@ def _points(device: list[str], length_m: Array, sd_m: float, q_rad: Array, seen_
     )
 
 
-def calibrated(of: Recorded, **plan: object) -> DistancesFound:
+def calibrated(of: Recorded, choice: Choice | None = None, **wires: object) -> DistancesFound:
     """The calibration of the nominal arm with these readings."""
-    return calibrate_with_distances(RIGHT, of.points, Path("lengths.csv"), DistancePlan(**plan))  # type: ignore[arg-type]
+    plan = DistancePlan(choice or Choice(), Wires(**wires))  # type: ignore[arg-type]
+    return calibrate_with_distances(RIGHT, of.points, Path("lengths.csv"), plan)
 
 
 def over_workspace_m(true: Arm, dh: Array, is_placed: bool = False) -> Array:
@@ -134,7 +137,7 @@ def main() -> None:
         before, after, largest, ranks = [], [], [], []
         for seed in range(ARMS):
             of = recorded(seed, **what)  # type: ignore[arg-type]
-            found = calibrated(of, **plan)
+            found = calibrated(of, **plan)  # type: ignore[arg-type]
             is_placed = "known_m" in plan or "tips" in what
             before.append(over_workspace_m(of.true, RIGHT.dh, is_placed).mean())
             errors = over_workspace_m(of.true, found.found.dh, is_placed)

@@ -7,7 +7,6 @@ of two models on other readings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from calib.arm_problem.posed import WeightedProblem, whole_problem
 from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen
 from calib.calibration.report import estimate_lines
-from calib.distances.problem import BETWEEN, GAUGE, LEAST, Device, DistanceProblem, Readings, Vector, devices_of, readings_of
+from calib.distances.problem import BETWEEN, GAUGE, LEAST, Device, DistanceProblem, Readings, Wires, devices_of, readings_of
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Sensitivity
 from calib.identify.identification import Estimate, Estimation, Identification, uncertainty
@@ -41,14 +40,10 @@ FAR_OFF_m = 0.1  # median error with the nominal arm beyond which the readings a
 
 @dataclass(frozen=True, slots=True)
 class DistancePlan:
-    """What to identify: as of a calibration by tips, and whether a wire's zero is unknown, too.
-
-    known_m: fixed points of wires that are known in the base frame, by the wires' names.
-    """
+    """What to identify: as of a calibration by tips, and of wires."""
 
     choice: Choice = field(default_factory=Choice)
-    free_zero: bool = False
-    known_m: Mapping[str, Vector] = field(default_factory=dict)
+    wires: Wires = field(default_factory=Wires)
     objective: Objective = field(default_factory=Huber)
 
 
@@ -129,7 +124,7 @@ def _problem(arm: Arm, points: Points, readings: Readings, plan: DistancePlan) -
     return tips, DistanceProblem(
         model,
         readings,
-        devices_of(readings, nominal, plan.free_zero, plan.known_m),
+        devices_of(readings, nominal, plan.wires),
         inner,
         unit_m=_unit_m(arm, readings, inner),
         tool_m=tool_m,
@@ -296,15 +291,13 @@ def _mm(errors_m: Array) -> str:
     return f"{1e3 * float(np.abs(errors_m).mean()):.3f}"
 
 
-def compare_lengths(
-    nominal: Arm, calibrated: Arm, points: Points, where: Path, free_zero: bool, known_m: Mapping[str, Vector]
-) -> Comparison:
+def compare_lengths(nominal: Arm, calibrated: Arm, points: Points, where: Path, wires: Wires) -> Comparison:
     """Errors of lengths by two models, as vectors along each length; a device is a setup.
 
     For each model a wire or gauge of unknown place stands where its other readings fit best. PointsFileError or
     UnusablePointsError for readings that are unusable or too few.
     """
-    problems = [_problem_of_others(arm, points, where, free_zero, known_m) for arm in (nominal, calibrated)]
+    problems = [_problem_of_others(arm, points, where, wires) for arm in (nominal, calibrated)]
     errors = [_errors_m(problem, where) for problem in problems]
     readings, model = problems[1].readings, problems[1].model
     tips = model.tips(model.nominal_dh, readings.q_rad)[readings.pose[:, 0]]
@@ -316,11 +309,11 @@ def _setup(device: str) -> str:
     return BETWEEN if device.startswith(BETWEEN) else device
 
 
-def _problem_of_others(arm: Arm, points: Points, where: Path, free_zero: bool, known_m: Mapping[str, Vector]) -> DistanceProblem:
+def _problem_of_others(arm: Arm, points: Points, where: Path, wires: Wires) -> DistanceProblem:
     """Of the devices only: the arm is as it says."""
     model, readings = ArmModel(arm), readings_of(arm, points, where)
     tips = model.tips(model.nominal_dh, readings.q_rad)
-    devices = devices_of(readings, tips, free_zero, known_m, to_spare=1)
+    devices = devices_of(readings, tips, wires, to_spare=1)
     return DistanceProblem(
         model, readings, devices, unit_m=POSITION_NOISE_m, tool_m=model.nominal_tool_m, fixed=dh_names(len(arm.links))
     )

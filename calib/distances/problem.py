@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -220,24 +220,30 @@ class Device:
         return zero_m + tips @ along, np.tile(along, (len(tips), 1)), np.zeros_like(tips), own
 
 
-def devices_of(
-    readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int = 0
-) -> tuple[Device, ...]:
+@dataclass(frozen=True, slots=True)
+class Wires:
+    """Whether a wire's zero is unknown, too; fixed points that are known in the base frame, by the wires' names."""
+
+    free_zero: bool = False
+    known_m: Mapping[str, Vector] = field(default_factory=dict)
+
+
+def devices_of(readings: Readings, tips: Array, wires: Wires, to_spare: int = 0) -> tuple[Device, ...]:
     """All devices, at their starts by the nominal tips (m, 3). UnusablePointsError for too few readings of one.
 
-    known_m: fixed points of wires in the base frame, by the wires' names; to_spare: readings beyond those that place a device.
+    to_spare: readings beyond those that place a device.
     """
     names = list(dict.fromkeys(readings.device))
-    for wire in known_m:
+    for wire in wires.known_m:
         if f"{WIRE}:{wire}" not in names:
             there = ", ".join(name.partition(":")[2] for name in names if name.startswith(WIRE)) or "none"
             raise UnusablePointsError(f'no wire "{wire}" in the readings: expected one of {there}')
-    return tuple(_device(name, readings, tips, free_zero, known_m, to_spare) for name in names)
+    return tuple(_device(name, readings, tips, wires, to_spare) for name in names)
 
 
-def _device(name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int) -> Device:
+def _device(name: str, readings: Readings, tips: Array, wires: Wires, to_spare: int) -> Device:
     rows, (kind, _, label) = readings.of(name), name.partition(":")
-    is_known = kind == WIRE and label in known_m
+    free_zero, is_known = wires.free_zero, kind == WIRE and label in wires.known_m
     least = 1 if is_known or kind == BETWEEN else LEAST[kind] + (kind == WIRE and free_zero) + to_spare
     if len(rows) < least:
         raise UnusablePointsError(f'"{name}": {len(rows)} readings, {least} are needed to find where it stands')
@@ -245,7 +251,7 @@ def _device(name: str, readings: Readings, tips: Array, free_zero: bool, known_m
     axes, zero_m, place = np.zeros((0, 3)), 0.0, np.zeros(3)
     units: tuple[tuple[str, str], ...] = (("zero", "m"),) if kind == WIRE and free_zero else ()
     if is_known:
-        place = np.array(known_m[label])
+        place = np.array(wires.known_m[label])
         zero_m = float(np.mean(length - norms(at - place))) if free_zero else 0.0
     elif kind == WIRE:
         place, zero_m = _fixed_point(at, length, free_zero)

@@ -1,16 +1,15 @@
 """A whole verification, on an arm through its runtime or on recorded points."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
 from calib.arm_problem.joint_effects import LAWS
 from calib.distances.calibrate import compare_lengths
-from calib.distances.problem import Vector, has_readings
+from calib.distances.problem import Wires, has_readings
 from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
 from calib.points.points import Points
@@ -94,25 +93,19 @@ def driven(pair: ModelPair, drive: SurveyPair, comparison: Comparison, paths: tu
     return dataclasses.replace(made, pose_count=len(q_rad))
 
 
-def on_recorded(
-    pair: ModelPair,
-    file: Path,
-    free_zero: bool = False,
-    known_m: Mapping[str, Vector] = MappingProxyType({}),
-    is_as_given: bool = False,
-) -> Verification:
+def on_recorded(pair: ModelPair, file: Path, wires: Wires, is_as_given: bool = False) -> Verification:
     """The verification on static poses with measured tips, or lengths: each model's prediction from the encoders.
 
-    free_zero, known_m: of lengths, as in a calibration by them.
+    wires: of lengths, as in a calibration by them.
     """
     nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
     points, warnings = points_for(calibrated, [file], is_as_given)
     if has_readings(points):
-        comparison = compare_lengths(nominal, calibrated, points, file, free_zero, known_m)
+        comparison = compare_lengths(nominal, calibrated, points, file, wires)
         what = f"{len(comparison.setup)} lengths"
         seen = int(np.isfinite(points.tip_m).all(axis=1).sum())
         warnings += (f"{seen} measured tips beside the lengths were not compared",) if seen else ()
-    elif free_zero or known_m:
+    elif wires.free_zero or wires.known_m:
         raise CalibrationError(f"{file}: --wire-at and --free-zero: expected lengths (docs/distances.md)")
     else:
         comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))

@@ -23,7 +23,7 @@ from benchmarks.calibration.distances import (
 from calib.arm_problem.assembly import Choice
 from calib.distances import calibrate as module
 from calib.distances.calibrate import DistancePlan, compare_lengths, distances_text
-from calib.distances.problem import readings_of
+from calib.distances.problem import Wires, readings_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.points.points import Points
 from calib.points.reading import read_points
@@ -42,7 +42,7 @@ def with_column(points: Points, name: str, row: int, text: str) -> Points:
 
 def test_derivatives_by_the_arm_and_by_every_kind_of_device_are_exact() -> None:
     of = recorded(1, "AB", each=6, gauge=5, pairs=4, tips=5)
-    plan = DistancePlan(Choice(freed=("tool",)), free_zero=True, known_m={"B": ANCHORS_m["B"]})
+    plan = DistancePlan(Choice(freed=("tool",)), Wires(True, {"B": ANCHORS_m["B"]}))
     _, problem = module._problem(RIGHT, of.points, readings_of(RIGHT, of.points, FILE), plan)
     x = np.random.default_rng(2).uniform(-0.01, 0.01, len(problem.parameters))
     residuals, jacobian = problem.residuals_and_jacobian(x)
@@ -185,15 +185,15 @@ def test_lengths_verify_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_a_reading_does_not_verify_the_place_of_its_own_device() -> None:
     of = recorded(3, "A", each=7)
     arm = dataclasses.replace(RIGHT.with_dh(of.true.dh))
-    found = compare_lengths(RIGHT, arm, of.points, FILE, False, {})
+    found = compare_lengths(RIGHT, arm, of.points, FILE, Wires())
     names, lengths = list(of.points.extra["distance_m"]), []
     for row in (0, 3):
         points = with_column(of.points, "distance_m", row, f"{float(names[row]) + 0.001:.9f}")
-        moved = compare_lengths(RIGHT, arm, points, FILE, False, {})
+        moved = compare_lengths(RIGHT, arm, points, FILE, Wires())
         lengths.append(np.linalg.norm(moved.after_m[row] - found.after_m[row]))
     assert np.allclose(lengths, 1e-3, atol=1e-4)  # none of it went into the wire's place
     with pytest.raises(UnusablePointsError, match='"wire:A": 4 readings, 5 are needed'):
-        compare_lengths(RIGHT, arm, of.points.chosen(range(4)), FILE, False, {})
+        compare_lengths(RIGHT, arm, of.points.chosen(range(4)), FILE, Wires())
 
 
 def test_the_command_writes_a_calibrated_arm_and_calibrate_points_to_it(
