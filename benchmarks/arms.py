@@ -121,6 +121,11 @@ SEVEN = arm_of(
 ARMS = {arm.name: arm for arm in (TWO, FOUR, FIVE, SIX, SEVEN)}
 
 
+def arm_named(name: str) -> Arm:
+    """One of these, an arm that ships, or that of an arm.toml."""
+    return ARMS[name] if name in ARMS else load_arm(name)
+
+
 # Way-points around where an arm rests.
 
 

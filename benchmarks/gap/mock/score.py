@@ -19,6 +19,7 @@ from control.plain_text import Advance
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: more threads only wait
 
+from benchmarks.arms import arm_named
 from benchmarks.gap.matrix import Answer, answer, score_text
 from benchmarks.gap.mock.cases import Level, MockCase, arm_with_friction, drawn, grid, nulls, pairs, write_case
 from benchmarks.gap.mock.motion import motion_case
@@ -29,7 +30,6 @@ from calib.gap.poses.find import find as find_in_poses
 from calib.gap.series.find import find as find_in_motion
 from calib.points.points import Points
 from control.model.arm import Arm
-from control.model.description import load_arm
 from control.model.effects import EFFECTS
 
 FIRST_SEED = 7000  # thresholds and this benchmark's own sizes were fixed on seeds below 1000
@@ -96,14 +96,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--level", choices=("static", "dynamic"), action="append")
     parser.add_argument("--cases", type=int, help="of each sort; default 16 static, 8 dynamic")
-    parser.add_argument("--arm", default="right", help="arm.toml, or an arm that ships")
+    parser.add_argument("--arm", default="right", help="arm.toml, an arm that ships, or one of benchmarks.arms (four, six ...)")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--grid", nargs="*", metavar="WORD", help="every effect, joint and size; only those that contain a WORD")
     parser.add_argument("--once", action="store_true", help="do not repeat without the hidden effects in the list")
     parser.add_argument("--save", type=Path, help="folder for the recordings, as docs/formats.md has them")
     parser.add_argument("--processes", type=int, default=2)
     given = parser.parse_args()
-    arm = load_arm(given.arm)
+    arm = arm_named(given.arm)
     for level in given.level or ("static", "dynamic"):
         count = given.cases or CASES[level]
         if given.grid is None:

@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: mo
 
 import numpy as np
 
+from benchmarks.arms import arm_named
 from benchmarks.gap.mock.cases import DYNAMIC, STATIC, Level, arm_with_friction, entry, joints_of
 from benchmarks.gap.mock.motion import motion_case
 from benchmarks.gap.mock.static import geometry_of, static_case
@@ -26,7 +27,6 @@ from calib.gap.log import Log
 from calib.gap.workflow import find_gap
 from calib.points.points import Points
 from control.model.arm import Arm
-from control.model.description import load_arm
 from hil_mocks.plant.effects import EffectEntry
 
 BOTH = tuple(name for name in STATIC if name in DYNAMIC)  # which both levels may show
@@ -65,7 +65,7 @@ def recorded(arm: Arm, seed: int) -> tuple[Arm, tuple[EffectEntry, ...], Points,
 
 def judged(arm_name: str, seed: int) -> tuple[str, dict[str, Counter[str]]]:
     """A line, and the counts of an arm by way of looking at it."""
-    known, hidden, points, log = recorded(load_arm(arm_name), seed)
+    known, hidden, points, log = recorded(arm_named(arm_name), seed)
     began = time.process_time()
     poses = find_gap(known, points=points).finding
     series = find_gap(known, log=log).finding
@@ -98,7 +98,7 @@ def counted(truth: Collection[EffectName], named: set[EffectName], found: GapFin
 def main() -> None:
     """Print a paragraph an arm and the sums."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arm", default="right", help="arm.toml, or an arm that ships")
+    parser.add_argument("--arm", default="right", help="arm.toml, an arm that ships, or one of benchmarks.arms (four, six ...)")
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=8000)
     parser.add_argument("--processes", type=int, default=2)
