@@ -28,7 +28,7 @@ from calib.gap.poses.cautions import about_fit, about_orientations, about_outlie
 from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
-from calib.gap.poses.linear import Residuals
+from calib.gap.poses.linear import Fit, Residuals
 from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Linearised, Looked
@@ -60,21 +60,19 @@ def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> St
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(linearised, best, changed)
     beside = _open_members(linearised, decision)
-    decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons)
+    looked_at = dataclasses.replace(looked, floor=floor)
+    nominal_fit = placed(looked.arm, points, parts.known)
+    totals = {name: estimates[name] for name in order}
+    decision, files, reasons = _files(looked_at, nominal_fit, decision, totals, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
-    last, nominal_fit = files[-1], placed(looked.arm, points, parts.known)
-    nominal, residuals = nominal_fit.residuals(), [file.fit.residuals() for file in files]
+    last, nominal, residuals = files[-1], nominal_fit.residuals(), [file.fit.residuals() for file in files]
     gaps = [residual.times(floor.tip_m, floor.turn_rad, parts.report) for residual in residuals]
     effects = [
         _named(linearised, decision, last, name, estimates[name], gap)
         for name, gap in zip(order, gaps[1 : len(order) + 1], strict=True)
     ]
-    as_given, refitted = (_square(residual, floor, parts.known) for residual in (nominal, residuals[0]))
-    if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].identification.rank):
+    if _pays(looked_at, nominal_fit, files[0]):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
-    if not effects and not last.arm.maps:
-        # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
-        last, residuals = dataclasses.replace(last, arm=looked.arm, fit=nominal_fit), [nominal]
     finding = _finding(linearised, decision, reasons, tuple(effects), floor, (nominal, residuals[-1]))
     corrected = {correction.joint for correction in last.arm.maps}
     held = (*decision.names, *(name for name in beside if name.joint in corrected))
@@ -110,6 +108,7 @@ def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> St
 
 def _files(
     looked: Looked,
+    given: Fit,
     decision: Decision,
     estimates: Mapping[EffectName, Estimated],
     beside: Mapping[EffectName, Parameters],
@@ -117,7 +116,8 @@ def _files(
     reasons: Mapping[EffectName, str],
 ) -> tuple[Decision, list[File], Mapping[EffectName, str]]:
     """The file with the geometry alone, then with one name more at a time, last with the maps of what sets share, if these help
-    poses that nobody fitted; without names that it cannot hold. `firmer`: names whose values other recordings know better.
+    poses that nobody fitted; without names that it cannot hold; `given`, the arm as it was, where it has no name and no map.
+    `firmer`: names whose values other recordings know better.
     """
     named = {name: {} if _is_nothing(estimate) else estimate.parameters for name, estimate in estimates.items()}
     arm, points, rows, keys = looked.arm, looked.points, looked.parts.known, list(named)
@@ -128,10 +128,13 @@ def _files(
         names = tuple(name for name in decision.names if name not in why)
         decision = dataclasses.replace(decision, names=names, remainders=(*decision.remainders, *((name,) for name in why)))
         kept = {name: estimate for name, estimate in estimates.items() if name not in why}
-        return _files(looked, decision, kept, beside, firmer, {**reasons, **why})
+        return _files(looked, given, decision, kept, beside, firmer, {**reasons, **why})
     if last.unshared is not None:
         with_maps, without = (_square(one.fit.residuals(), looked.floor, looked.parts.report) for one in (last, last.unshared))
         last = last if with_maps < without else last.unshared
+    if not keys and not last.arm.maps:
+        # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
+        return decision, [last if _pays(looked, given, last) else dataclasses.replace(last, arm=arm, fit=given)], reasons
     files = [
         File.of(arm, points, rows, {key: named[key] for key in keys[:count]}, {}, firmer, False)
         for count in range(len(keys) + bool(last.arm.maps))
@@ -169,6 +172,13 @@ def _named_alone(linearised: Linearised, best: Weighed, names: Sequence[EffectNa
 
 def _square(residual: Residuals, floor: Floor, rows: Mask) -> float:
     return residual.times(floor.tip_m, floor.turn_rad, rows) ** 2
+
+
+def _pays(looked: Looked, given: Fit, file: File) -> bool:
+    """Whether the geometry of a file pays beside the arm as it was given."""
+    known = looked.parts.known
+    before, after = (_square(fit.residuals(), looked.floor, known) for fit in (given, file.fit))
+    return pays(before, after, 3 * int(known.sum()), file.identification.rank)
 
 
 def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
