@@ -58,33 +58,50 @@ class Decision:
         return replace(self, names=names, ambiguous=(*self.ambiguous, *groups.values()))
 
 
-def decide(evidence: Evidence, sets: Sequence[Weighed], lead: float = MARGIN) -> Decision:
-    """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is.
+def decide(evidence: Evidence, sets: Sequence[Weighed]) -> Decision:
+    """Names that lead every other in their place by MARGIN in log evidence; the others are ambiguous with it."""
+    decision = included(evidence, sets)
+    pairs = [(name, rival) for name in decision.names for rival, _ in rivals(evidence, sets, name, MARGIN)]
+    return decision.with_sets(pairs)
 
-    `lead`: log evidence by which it must lead sets that have another name in its place; 0 where those are compared elsewhere.
-    """
+
+def included(evidence: Evidence, sets: Sequence[Weighed]) -> Decision:
+    """Inclusion over all weighed sets, best first: a name above CERTAIN, else the smallest set that is."""
     logs = np.array([weighed.log for weighed in sets])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    keys = [[evidence.terms[k].key for k, _ in weighed.members] for weighed in sets]
+    keys = [_keys(evidence, weighed) for weighed in sets]
     has = {key: np.zeros(len(sets), dtype=bool) for key in dict.fromkeys(itertools.chain(*keys))}
     for k, (weighed, present) in enumerate(zip(sets, keys, strict=True)):
         for key in (*present, *_as_laws(evidence, weighed, set(keys[0]) - set(present))):
             has[key][k] = True
     chance = {key: sum(weights[mask].tolist()) for key, mask in has.items()}
-    groups = []
-    for group in _credible(has, weights, chance):
-        if len(group) == 1 and isinstance(name := group[0], EffectName):
-            # names that a set without this one, nearly as likely as the best, has in its place: none that the best has beside it
-            likely = ~has[name] & (logs > logs[0] - lead)
-            beside = keys[0] if name in keys[0] else ()
-            rivals = (rival for rival in has if isinstance(rival, EffectName) and rival not in beside)
-            group = (*group, *(rival for rival in rivals if (has[rival] & likely).any()))
-        groups.append((*group, *crooked(evidence, sets[0], group[0])) if len(group) == 1 else group)
+    groups = _credible(has, weights, chance)
+    groups = [(*group, *crooked(evidence, sets[0], group[0])) if len(group) == 1 else group for group in groups]
     remainders = tuple(group for group in groups if any(isinstance(key, Block) for key in group))
     named = [tuple(key for key in g if isinstance(key, EffectName)) for g in groups if g not in remainders]
     names, ambiguous = (tuple(group[0] for group in named if len(group) == 1), tuple(group for group in named if len(group) > 1))
     return Decision(names, ambiguous, remainders, chance, sets[0])
+
+
+def rivals(evidence: Evidence, sets: Sequence[Weighed], name: EffectName, reach: float) -> Iterator[tuple[EffectName, Weighed]]:
+    """Names that stand in the place of one in sets, best first, which lie less than `reach` behind the best in log evidence, each
+    with the likeliest such set. What the best set has beside the name is none of them.
+    """
+    best = _keys(evidence, sets[0])
+    seen = set(best) if name in best else set()
+    for weighed in itertools.takewhile(lambda weighed: weighed.log > sets[0].log - reach, sets):
+        keys = _keys(evidence, weighed)
+        if name in keys or (name in best and name in _as_laws(evidence, weighed, [name])):
+            continue
+        for rival in keys:
+            if isinstance(rival, EffectName) and rival not in seen:
+                seen.add(rival)
+                yield rival, weighed
+
+
+def _keys(evidence: Evidence, weighed: Weighed) -> list[Key]:
+    return [evidence.terms[number].key for number, _ in weighed.members]
 
 
 def _credible(has: Mapping[Key, Mask], weights: Array, chance: Mapping[Key, float]) -> list[tuple[Key, ...]]:

@@ -23,6 +23,7 @@ from calib.gap.posterior.constants import (
     SETTLED_sd,
     SURE_sd,
 )
+from calib.gap.posterior.decide import rivals
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key
@@ -204,7 +205,7 @@ def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[Operati
     near: list[tuple[EffectName, EffectName]] = []
     tried: set[frozenset[EffectName]] = set()
     for _ in range(RIVALS_MOST):
-        open_ = (contest for contest in rivals(fit) if frozenset(contest[:2]) not in tried)
+        open_ = (contest for contest in contests(fit) if frozenset(contest[:2]) not in tried)
         if (contest := next(open_, None)) is None:
             break
         name, rival, members = contest
@@ -228,22 +229,13 @@ def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[Operati
     return replace(fit, decision=fit.decision.with_sets(still))
 
 
-def rivals(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
+def contests(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
     """Each name with another that, in its place, adds nearly what it adds, and the likeliest such set."""
-    terms, best = fit.linear.terms, fit.best
-    for (number, _), gain in zip(best.members, best.gains, strict=True):
-        name = terms[number].key
-        if name not in fit.decision.names or not isinstance(name, EffectName):
-            continue
-        seen: set[EffectName] = set()
-        for candidate in fit.sets:
-            if candidate.log < best.log - max(REMAINS * gain, MARGIN):
-                break
-            keys = {terms[k].key for k, _ in candidate.members}
-            new = [key for key in keys - fit.names if isinstance(key, EffectName)]
-            if name not in keys and len(new) == 1 and new[0] not in seen:
-                seen.add(new[0])
-                yield name, new[0], candidate
+    for (number, _), gain in zip(fit.best.members, fit.best.gains, strict=True):
+        name = fit.linear.terms[number].key
+        if isinstance(name, EffectName) and name in fit.decision.names:
+            for rival, members in rivals(fit.evidence, fit.sets, name, max(REMAINS * gain, MARGIN)):
+                yield name, rival, members
 
 
 def _with(fit: SeriesFit, members: Weighed) -> SeriesFit:

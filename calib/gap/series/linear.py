@@ -11,7 +11,7 @@ from scipy.linalg import solve_triangular
 
 from calib.arrays import Array
 from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, NUISANCE_MOST
-from calib.gap.posterior.decide import Decision, decide
+from calib.gap.posterior.decide import Decision, included
 from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.search import MergingSearch
 from calib.gap.posterior.term import Key
@@ -219,7 +219,7 @@ def weighed(
         if not (bent := _bent_too_far(evidence, linear, sets[0], point)):
             break
         barred |= bent
-    return SeriesFit(point, linear, tuple(noises), gram, evidence, tuple(sets), decide(evidence, sets, 0.0), rows)
+    return SeriesFit(point, linear, tuple(noises), gram, evidence, tuple(sets), included(evidence, sets), rows)
 
 
 def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, point: OperatingPoint) -> set[Key]:

@@ -9,7 +9,7 @@ import pytest
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName
-from calib.gap.posterior.decide import decide
+from calib.gap.posterior.decide import decide, included
 from calib.gap.posterior.evidence import Evidence, Gram, Weighed
 from calib.gap.posterior.search import MergingSearch, Search
 from calib.gap.posterior.term import Block, Term
@@ -144,7 +144,7 @@ def test_a_name_needs_more_where_another_may_stand_in_its_place() -> None:
     near, far = (_weighed_as(evidence, {0: 0.0, 1: log}) for log in (-4.0, -6.0))
     assert decide(evidence, near).ambiguous == ((soft, bent),)
     assert decide(evidence, far).names == (soft,)
-    assert decide(evidence, near, lead=0.0).names == (soft,)
+    assert included(evidence, near).names == (soft,)
 
 
 @pytest.mark.parametrize(("law", "is_rival"), [(0.0, True), (1.0, False)])

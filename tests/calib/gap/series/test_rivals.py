@@ -8,7 +8,7 @@ from typing import Any
 from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block
-from calib.gap.series.iterations import rivals
+from calib.gap.series.iterations import contests
 
 SCALE, WAVE, COULOMB, SOFT = (
     EffectName("encoder_scale", 3),
@@ -28,15 +28,16 @@ def fit(*sets: tuple[float, list[Any]]) -> Any:
     ]
     terms = [SimpleNamespace(key=key) for key in KEYS]
     decision = SimpleNamespace(names=(SCALE, COULOMB))
-    names = frozenset(KEYS[k] for k, _ in found[0].members)
-    return SimpleNamespace(linear=SimpleNamespace(terms=terms), best=found[0], sets=tuple(found), decision=decision, names=names)
+    evidence = SimpleNamespace(terms=terms, sizes=lambda weighed: {})
+    linear = SimpleNamespace(terms=terms)
+    return SimpleNamespace(linear=linear, evidence=evidence, best=found[0], sets=tuple(found), decision=decision)
 
 
 def test_what_explains_nine_tenths_of_a_name_in_its_place_is_its_rival() -> None:
-    found = list(rivals(fit((0.0, [SCALE, COULOMB]), (-51.0, [WAVE]), (-60.0, [WAVE, COULOMB]), (-800.0, [COULOMB]))))
+    found = list(contests(fit((0.0, [SCALE, COULOMB]), (-51.0, [WAVE]), (-60.0, [WAVE, COULOMB]), (-800.0, [COULOMB]))))
     assert [(name, rival, one.log) for name, rival, one in found] == [(SCALE, WAVE, -51.0)]
 
 
 def test_what_explains_less_a_block_and_what_comes_besides_are_none() -> None:
     sets = [(0.0, [SCALE, COULOMB]), (-5.5, [SCALE, WAVE, COULOMB]), (-30.0, [COULOMB, KEYS[4]]), (-120.0, [SOFT, COULOMB])]
-    assert list(rivals(fit(*sets))) == []
+    assert list(contests(fit(*sets))) == []
