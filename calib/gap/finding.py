@@ -164,7 +164,8 @@ class GapFinding:
 
     `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else;
     `is_held_out` is False where there were none to spare and the gap is that of what was fitted. `maps`: of what sets share
-    and, if asked for, of what is left; None where there are neither. `gap_after` is what arm.toml leaves, read back;
+    and, if asked for, of what is left; None where there are neither. `refitted`: what the arm's file has beside the names, where
+    it was identified anew with them, as totals: values, no findings. `gap_after` is what arm.toml leaves, read back;
     `gap_explained` counts how each named part departs from its law, which no file holds.
     """
 
@@ -185,6 +186,7 @@ class GapFinding:
     open_questions: tuple[OpenQuestion, ...] = ()
     maps: MeasuredMaps | None = None
     gap_explained: float = math.nan
+    refitted: tuple[NamedEffect, ...] = ()
 
     @property
     def unexplained(self) -> float:
@@ -257,6 +259,13 @@ def gap_content(finding: GapFinding) -> dict[str, object]:
             }
             for part in finding.effects
         ],
+        "refitted": [
+            {
+                **_fields(part.name),
+                "parameters": {key: {"value": value, "sd": sd} for key, (value, sd) in part.parameters.items()},
+            }
+            for part in finding.refitted
+        ],
         "ambiguous": finding.ambiguous,
         "unknown": finding.unknown,
         "nameable": [
@@ -309,7 +318,8 @@ def _plain(value: object) -> object:
 
 
 def updated_arm(arm: Arm, finding: GapFinding) -> Arm:
-    """The arm with what was named, which is a total, and with the maps that were found, in place of what its file has.
+    """The arm with what was named, which is a total, what was identified anew, and the maps that were found, in place of what its
+    file has.
 
     An effect whose total is none is taken out, and so are maps that were measured beside other effects.
     """
@@ -318,7 +328,8 @@ def updated_arm(arm: Arm, finding: GapFinding) -> Arm:
     removed = {(effect.name.effect, effect.name.joint) for effect in effects if effect.is_nothing}
     remaining = tuple(effect for effect in arm.effects if (effect.effect, effect.joint) not in removed)
     maps = () if finding.maps is None else finding.maps.maps
-    return with_totals(dataclasses.replace(arm, effects=remaining, maps=maps), named)
+    refitted = [effect_of(effect.name, effect.parameters) for effect in finding.refitted]
+    return with_totals(dataclasses.replace(arm, effects=remaining, maps=maps), [*refitted, *named])
 
 
 def with_geometry(arm: Arm, finding: GapFinding) -> Arm:
@@ -349,17 +360,14 @@ def with_totals(arm: Arm, totals: Sequence[Effect]) -> Arm:
 def as_totals(arm: Arm, finding: GapFinding) -> GapFinding:
     """A finding of changes beside what the arm's file has, as one of totals; a total that no part can have is none."""
     known = {EffectName(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
-    effects = [
-        dataclasses.replace(named, parameters=as_total(named.name.effect, known[named.name], named.parameters))
-        if named.name in known
-        else named
-        for named in finding.effects
-    ]
-    effects = [
-        named if is_possible(named.name.effect, named.parameters) else dataclasses.replace(named, parameters={}, is_nothing=True)
-        for named in effects
-    ]
-    return dataclasses.replace(finding, effects=tuple(effects))
+
+    def total_of(named: NamedEffect) -> NamedEffect:
+        if named.name in known:
+            named = dataclasses.replace(named, parameters=as_total(named.name.effect, known[named.name], named.parameters))
+        return named if is_possible(named.name.effect, named.parameters) else replace(named, parameters={}, is_nothing=True)
+
+    refitted = tuple(effect for effect in map(total_of, finding.refitted) if not effect.is_nothing)
+    return dataclasses.replace(finding, effects=tuple(map(total_of, finding.effects)), refitted=refitted)
 
 
 def is_possible(effect: str, parameters: Parameters) -> bool:

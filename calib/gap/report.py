@@ -97,7 +97,7 @@ def _ladders(report: GapOutcome) -> Iterator[Section]:
 def _effects(finding: GapFinding) -> Section:
     if not finding.effects:
         return Section("Added to the model", paragraph("Nothing."))
-    rows = [row for effect in finding.effects for row in _parameter_rows(effect)]
+    rows = [row for effect in (*finding.effects, *finding.refitted) for row in _parameter_rows(effect)]
     header = (
         ("text", "effect"),
         ("text", "parameter"),
@@ -206,10 +206,12 @@ def _nameable(finding: GapFinding) -> Section:
 
 
 def steps_of(finding: GapFinding) -> list[tuple[str, float]]:
-    """The nominal model, then with one effect more at a time, last with maps of what sets share; the gap after each, where there
-    is one.
+    """The nominal model, then with one effect more at a time, last with what the file had, identified anew, and with maps of what
+    sets share; the gap after each, where there is one.
     """
     steps = [("nominal model", finding.gap_before), *((str(effect.name), effect.gap_after) for effect in finding.effects)]
+    if finding.refitted:
+        steps.append(("what arm.toml had, identified anew", finding.gap_after))
     if finding.maps is not None:
         steps.append(("what sets share", finding.gap_after))
     return [(name, gap) for name, gap in steps if math.isfinite(gap) and gap > 0.0]

@@ -35,6 +35,9 @@ def _sentences(finding: GapFinding) -> Iterator[str]:
             yield f"Not there: {effect.name}, which the arm's file has; it is removed."
         else:
             yield f"Named: {effect.name} ({parameters_text(effect)})."
+    if finding.refitted:
+        values = "; ".join(f"{effect.name} ({parameters_text(effect)})" for effect in finding.refitted)
+        yield f"Identified anew beside these, as arm.toml has it already: {values}."
     if not named and finding.unknown is None and not finding.ambiguous:
         yield "Nothing is named: apart from the geometry, no known effect is needed to explain this data."
     for names in finding.ambiguous:

@@ -92,6 +92,7 @@ def brought_together(static: GapFinding | None, dynamic: GapFinding | None) -> G
         before_si={**dynamic.before_si, **static.before_si},
         after_si={**dynamic.after_si, **static.after_si},
         effects=_effects(static, dynamic),
+        refitted=tuple(effect for effect in dynamic.refitted if effect.name not in {named.name for named in static.effects}),
         ambiguous=_sets(static, dynamic),
         unknown=nearest and dataclasses.replace(nearest, where="; ".join(dict.fromkeys(unknown.where for unknown in unknowns))),
         nameable=tuple(seen.values()),

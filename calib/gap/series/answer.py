@@ -47,7 +47,8 @@ class NamelessShape:
 class SeriesVerdict:
     """The verdict on the last fit: names with law, covariance of its values and departure; what is left; corrections.
 
-    `fit`: its best set without what was withdrawn; `corrected`: terms taken off as the sensors' own, with coefficients.
+    `fit`: its best set without what was withdrawn; `corrected`: terms taken off as the sensors' own, with coefficients;
+    `refitted`: changes of what the arm's file has beside the names.
     `explaining`: keys that explain something: names, how parts depart, and what is taken off.
     """
 
@@ -56,6 +57,7 @@ class SeriesVerdict:
     laws: dict[EffectName, Law]
     covariance: dict[EffectName, Array]
     departure: dict[EffectName, float]
+    refitted: tuple[Member, ...]
     ambiguous: tuple[tuple[EffectName, ...], ...]
     unknown: Unknown | None
     remainder: tuple[Remainder, ...]
@@ -94,8 +96,10 @@ def judged(fit: SeriesFit, parts: RowSplit, harming: Sequence[Key]) -> SeriesVer
     nameless += _contested(fit, reporting)
     reduced = with_only(fit, [*named, *corrected])
     file = identified(reduced, [member for member in members(reduced) if member.number in (*named, *corrected)], parts)
-    for name, why in file.dropped.items():
-        number = next(k for k in named if fit.linear.terms[k].key == name)
+    for number in [k for k in named if fit.linear.terms[k].key in file.dropped]:
+        name = fit.linear.terms[number].key
+        assert isinstance(name, EffectName)
+        why = file.dropped[name]
         sentences.append(f"{name} {why}: not named")
         left_out = NamelessShape(_worth(fit, number, reporting), f"{name} {why}", number, name)
         nameless += [left_out] if left_out.worth > REMAINS else []
@@ -150,7 +154,9 @@ def _verdict(
     remainder = _remainder(whole, left_over, reporting)
     explained = explaining.union(*sets)  # one of a set explains what it does, whichever it is
     unknown = _unknown(whole, left_over, explaining) or _silent(whole, what_is_left(whole, explained), reporting, harming)
-    return SeriesVerdict(fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(explaining), tuple(sentences))
+    return SeriesVerdict(
+        fit, corrected, laws, spread, departs, file.refitted, sets, unknown, remainder, frozenset(explaining), tuple(sentences)
+    )
 
 
 def _overshadowed(fit: SeriesFit, number: int, others: Sequence[int], reporting: Picked) -> NamelessShape:
@@ -344,6 +350,16 @@ def named_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
             variable=fit.linear.terms[numbers[name]].variable,
         )
         for name in sorted(share, key=lambda key: -share[key])
+    )
+
+
+def refitted_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
+    """Changes of what the arm's file has beside the names."""
+    arm = verdict.fit.point.scene.arm
+    return tuple(
+        NamedEffect(member.term.key, parameters(arm, member.term.law(member.size), covariance_of_values(member)), math.nan)
+        for member in verdict.refitted
+        if isinstance(member.term.key, EffectName) and member.term.law is not None
     )
 
 

@@ -2,7 +2,9 @@
 
 The posterior says which laws there are, beside departures, nuisances and blocks. None of these is in the file, so its values are
 those with which the laws alone leave least, in the floors of the channels: no prior on their size, and nothing else that could
-take their part. What no file says of a recording (when camera and currents were read) is identified beside them.
+take their part. What the arm's file has already is identified with them, where the rows follow it in a straight line: no evidence
+says that it is right, and the names would take what it lacks. What no file says of a recording (when camera and currents were
+read) is identified beside them.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from calib.gap.finding import EffectName
 from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.linear import SeriesFit, without_each
 from calib.gap.series.split import Picked, RowSplit
-from calib.gap.series.validation import Member
+from calib.gap.series.validation import Member, members
 from calib.gap.signals.terms import Law
 from control.model.arm import Arm
 from control.model.description import arm_text, parse_arm
@@ -35,23 +37,57 @@ GROUPS_LEAST = 3  # of runs that are left out in turn, for a spread between them
 @dataclass(frozen=True, slots=True)
 class Identified:
     """The laws of a file: coefficients of each member's columns by number, departures nought, with their covariance; `columns` of
-    all rows that they do together, and names without which the runs are predicted as well, or that come out as none.
+    all rows that they do together, and names without which the runs are predicted as well, or that come out as none; `refitted`:
+    changes of what the arm's file has besides, which are no names.
     """
 
     size: Mapping[int, Array]
     covariance: Mapping[int, Array]
     dropped: Mapping[EffectName, str]
+    refitted: tuple[Member, ...]
 
 
 def identified(fit: SeriesFit, candidates: Sequence[Member], parts: RowSplit) -> Identified:
-    """Least squares of the laws of members of a fit's best set on the rows that decide, without those that do not help."""
+    """Least squares of the laws of members of a fit's best set on the rows that decide, without those that do not help.
+
+    What the arm's file has of a joint gives way where a name of that joint would fall with it: they take each other's part, and
+    the evidence is for the name. An arm of which nothing is named stays as it was given.
+    """
     dropped: dict[EffectName, str] = {}
+    names = {_name(member) for member in candidates if _is_listed(member)}
+    refitted = list(_refitted(fit, names))
     while True:
-        laws = _Laws.of(fit, [member for member in candidates if member.term.key not in dropped], parts)
-        why = laws.against()
+        refitted = [member for member in refitted if member.term.key not in dropped and names - dropped.keys()]
+        laws = _Laws.of(fit, [*refitted, *(member for member in candidates if member.term.key not in dropped)], parts)
+        why = laws.against(names)
         if not why:
-            return Identified(laws.sizes(), laws.stated(), dropped)
-        dropped |= why
+            size, covariance = laws.sizes(), laws.stated()
+            changed = (dataclasses.replace(m, size=size[m.number], covariance=covariance[m.number]) for m in refitted)
+            return Identified(size, covariance, dropped, tuple(changed))
+        fallen = {name.acts_on for name in why if name in names}
+        giving = {_name(member) for member in refitted if _name(member).acts_on in fallen}
+        dropped |= dict.fromkeys(giving, "gives way to a name") if giving else why
+
+
+def _refitted(fit: SeriesFit, names: Collection[EffectName]) -> Iterator[Member]:
+    """What the arm's file has beside the names, as changes that add to it: the terms that stand for them in the search.
+
+    What poses tell of as well is not for time series alone to settle.
+    """
+    told = () if fit.point.scene.told is None else fit.point.scene.told.places
+    known = {law.name: law for law in fit.point.known if law.name not in names and law.name not in told}
+    for number, term in enumerate(fit.linear.terms):
+        stated = known.get(term.key) if isinstance(term.key, EffectName) else None
+        if stated is None or term.law is None or term.curve is not None:
+            continue
+        nothing = term.law(np.zeros(term.count))
+        if any(nothing.values) or (nothing.form, nothing.order) != (stated.form, stated.order):
+            continue
+        del known[stated.name]
+        # a change may be below nought; how the law departs makes the file's value no other
+        (member,) = members(fit, [number])
+        term = dataclasses.replace(term, is_positive=False)
+        yield dataclasses.replace(member, term=term, covariance=member.covariance - member.alike, alike=0.0 * member.alike)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,24 +158,26 @@ class _Laws:
             stated[member.number][: len(apart), : len(apart)] += np.outer(apart, apart)
         return stated
 
-    def against(self) -> dict[EffectName, str]:
-        """The name that stands least, if one does not, and why."""
+    def against(self, names: Collection[EffectName]) -> dict[EffectName, str]:
+        """The effect that stands least, if one does not, and why: a name that may be none, a value without which the runs are
+        predicted as well.
+        """
         covariance = self.stated()  # the interval that is written is the one that must not hold nought
-        worst: dict[EffectName, tuple[float, str]] = {}
+        worst: dict[EffectName, float] = {}
+        needed: dict[EffectName, float] = {}
         for member, place in zip(self.members, self.places, strict=True):
             if not _is_listed(member) or place.start == place.stop:
                 continue
+            needed[_name(member)] = self._missed(place)
             size, sd = self.whole[place], np.sqrt(np.diag(covariance[member.number])[: place.stop - place.start])
             far = float(np.linalg.norm(size / np.maximum(sd, 1e-300)))
-            if (member.term.is_positive and size[0] < member.term.least) or far < INTERVAL_sd:
-                worst[_name(member)] = (far if size[0] > 0.0 else -far, "may as well be none, identified with what else is named")
+            if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < INTERVAL_sd):
+                worst[_name(member)] = far if size[0] > 0.0 else -far
         if worst:
-            name = min(worst, key=lambda key: worst[key][0])
-            return {name: worst[name][1]}
-        missed = self._missed(slice(0, 0))
-        for member, place in zip(self.members, self.places, strict=True):
-            if _is_listed(member) and place.start < place.stop and self._missed(place) <= missed:
-                return {_name(member): "is not needed: without it the runs are predicted as well"}
+            return {min(worst, key=lambda key: worst[key]): "may as well be none, identified with what else is named"}
+        least = min(needed, key=lambda key: needed[key], default=None)
+        if least is not None and needed[least] <= self._missed(slice(0, 0)):
+            return {least: "is not needed: without it the runs are predicted as well"}
         return {}
 
     def _missed(self, drop: slice) -> float:

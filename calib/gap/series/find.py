@@ -19,7 +19,15 @@ from calib.gap.posterior.constants import REMAINS
 from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ResidualRows, RowTable, without_motion
 from calib.gap.residuals.scene import SeriesScene
-from calib.gap.series.answer import SeriesVerdict, judged, nameable_effects, named_effects, seen_by_sensors, what_is_left
+from calib.gap.series.answer import (
+    SeriesVerdict,
+    judged,
+    nameable_effects,
+    named_effects,
+    refitted_effects,
+    seen_by_sensors,
+    what_is_left,
+)
 from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted, unknown_rotors
 from calib.gap.series.linear import SeriesFit
@@ -145,8 +153,7 @@ class Examined:
             laws.pop(effect.name, None)
             laws |= {name: law for name, law in stated.items() if name == effect.name}
             staged.append(dataclasses.replace(effect, gap_after=gap(left_by(laws), rows.table, self.parts.reporting)))
-        laws = laws if file is None else stated
-        after = left_by(laws)
+        after, laws = left_by(stated), stated
         moved = motion_gaps(rows.physics, self.known, tuple(laws.values()), self.parts.report_runs)
         finding = dataclasses.replace(
             finding,
@@ -185,6 +192,7 @@ class Examined:
             before_si=in_si(before, table, reporting, self.arm),
             after_si={},
             effects=named_effects(verdict),
+            refitted=refitted_effects(verdict),
             ambiguous=verdict.ambiguous,
             unknown=verdict.unknown,
             nameable=nameable_effects(verdict.fit),

@@ -48,13 +48,13 @@ class Member:
         return self.term.departed_by(self.size)
 
 
-def members(fit: SeriesFit) -> Iterator[Member]:
-    """Each averaged over how large it and its departures may be, all others at their best.
+def members(fit: SeriesFit, numbers: Sequence[int] | None = None) -> Iterator[Member]:
+    """Each averaged over how large it and its departures may be, all others at their best; `numbers`: terms beside the best set.
 
     An exact law is left out of that where a law may depart: an interval holds only if it counts departures that do not show.
     """
     evidence, best = fit.evidence, fit.best
-    for number in fit.numbers:
+    for number in fit.numbers if numbers is None else numbers:
         rest = [entry for entry in best.members if entry[0] != number]
         term = fit.linear.terms[number]
         scales = [h for h in range(len(evidence.weights[number])) if not is_exact(evidence, number, h)]

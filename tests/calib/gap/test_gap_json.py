@@ -55,6 +55,12 @@ class Named(msgspec.Struct, forbid_unknown_fields=True):
     evidence: dict[str, float | None]
 
 
+class Refitted(msgspec.Struct, forbid_unknown_fields=True):
+    effect: str
+    joint: int | None
+    parameters: dict[str, Value]
+
+
 class Gap(msgspec.Struct, forbid_unknown_fields=True):
     before: float | None
     after: float | None
@@ -117,6 +123,7 @@ class GapJson(msgspec.Struct, forbid_unknown_fields=True):
     noise_floor: dict[str, float | None]
     gap: Gap
     effects: list[Named]
+    refitted: list[Refitted]
     ambiguous: list[list[Name]]
     unknown: Left | None
     nameable: list[Could]
@@ -146,6 +153,7 @@ def full() -> GapFinding:
         "Record more.",
         remainder=(Remainder("joint 2: in steps", 0.1, {"tip_m": 3e-4}),),
         open_questions=(OpenQuestion("joint 2?", "Record more."),),
+        refitted=(NamedEffect(EffectName("coulomb_friction", 2), {"torque_Nm": (0.71, 0.01)}, float("nan")),),
     )
 
 
@@ -180,7 +188,7 @@ def found_with(*effects: tuple[str, int | None, dict[str, float]]) -> GapFinding
         NamedEffect(EffectName(name, joint), {key: (value, 0.0) for key, value in values.items()}, 1.0)
         for name, joint, values in effects
     )
-    return dataclasses.replace(full(), effects=named)
+    return dataclasses.replace(full(), effects=named, refitted=())
 
 
 @pytest.mark.parametrize(

@@ -65,9 +65,9 @@ def test_a_name_whose_written_interval_holds_nought_is_none(of_posterior: float,
     columns = draw.standard_normal((400, 1))
     term = SeriesTerm(belt, law=lambda c: Law(belt, SPRING, (float(c[0]), 0.0, 0.0)), response={0: columns})
     cell, groups = SimpleNamespace(rows=slice(None)), [np.arange(400) % 4 == k for k in range(4)]
-    scene = SimpleNamespace(cells=[cell], usable=np.ones(400, dtype=bool))
-    linear = SimpleNamespace(y=columns[:, 0] + 0.5 * draw.standard_normal(400))
-    fit: Any = SimpleNamespace(linear=linear, point=SimpleNamespace(scene=scene))
+    scene = SimpleNamespace(cells=[cell], usable=np.ones(400, dtype=bool), told=None)
+    linear = SimpleNamespace(y=columns[:, 0] + 0.5 * draw.standard_normal(400), terms=())
+    fit: Any = SimpleNamespace(linear=linear, point=SimpleNamespace(scene=scene, known=()))
     parts: Any = SimpleNamespace(groups=groups, deciding=np.ones(400, dtype=bool))
     member = Member(0, term, np.array([of_posterior]), np.diag([0.2**2]), np.zeros((1, 1)))
     assert (belt in identified(fit, [member], parts).dropped) == is_dropped
