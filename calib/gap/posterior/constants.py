@@ -1,12 +1,14 @@
 """What decides, in poses and in time series: every threshold with its unit and its reason.
 
-Elsewhere stand how recordings are split (`INTERVAL_sd`, `GROUPS_LEAST`, `FREEDOM_LEAST`, `REPORT_SHARE`), the effort of the
+Elsewhere stand how recordings are split (`GROUPS_LEAST`, `FREEDOM_LEAST`, `REPORT_SHARE`), the effort of the
 search (`search.py`), the sizes and shapes of effects and blocks (their records), what measurements are like (`poses/floor.py`,
 `signals/`), and what is refused or warned of as misread.
 """
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist
 from typing import Final
 
 # Prior probability of one effect on one joint: of some 25 that an arm of three joints can show, about one in three arms has one.
@@ -19,6 +21,8 @@ SIZE_WEIGHTS: Final = (0.3, 0.4, 0.2, 0.1)
 # How far a real part departs from the textbook's law, as a share of its size, with weights.
 DEPARTURES: Final = (0.0, 0.03, 0.06, 0.12)
 DEPARTURE_WEIGHTS: Final = (0.35, 0.3, 0.2, 0.15)
+# The same of the usual part: of laws that the file has, and of what other recordings tell.
+ROUGH: Final = DEPARTURES[2]
 # Size of a nameless block beside 3 mrad or 1 mm, evenly weighted: nobody knows it.
 BLOCK_LEVELS: Final = (0.1, 0.3, 1.0, 3.0)
 # Posterior inclusion from which on a name is given, a set called ambiguous, and a remainder claimed.
@@ -29,8 +33,8 @@ MARGIN: Final = 5.0
 # Standard deviations by which a coefficient, a gain of maps, or one of two estimates of a value must differ from nothing, from
 # the arm's file or from the other, to be worth saying: among some hundred that are looked at none may do so by chance.
 SURE_sd: Final = 3.0
-# The same of what is looked at once.
-CHECKED_sd: Final = 2.0
+# The same of what is looked at once, such as a value whose interval of that probability may hold nought.
+CHECKED_sd: Final = NormalDist().inv_cdf(0.5 * (1.0 + CERTAIN))
 # Share by which two estimates of the same thing may differ.
 AGREE: Final = 0.2
 # Probability, or share of all weight, below which a member of a set, or a size, is no candidate of anybody's.
@@ -39,8 +43,8 @@ CREDIBLE_LEAST: Final = 0.005
 # does to the runs that were fitted, what it must do to those kept apart for them to speak of it; of what a name adds to the log
 # evidence, what a rival may lack at the name's own operating point and be looked at at its own.
 REMAINS: Final = 0.1
-# Times what else there is, above which something is left that nothing has told yet.
-UNTOLD: Final = 1.05
+# Times what else there is, above which something material is left that nothing has told yet.
+UNTOLD: Final = math.sqrt(1.0 + REMAINS)
 # Times the floor: up to the first a gap counts as closed; from the second on what the list leaves is worth a word, and silence of
 # a recording says nothing; above the third it is said even where no block takes it (three quarters of it, squared, are no noise).
 AT_FLOOR: Final = 1.1
@@ -84,12 +88,6 @@ CLEAR_SHARE: Final = 0.5
 # than the second needs no counting (it may stand in the few pieces that are fast, or heavily loaded).
 PAYS: Final = 0.05
 LARGE: Final = 0.25
-
-# Of poses and time series of one arm
-
-# Times what a name needs: silence of a recording that could name an effect speaks against it only where it would see it this many
-# times over, since what is called nameable is an effect of usual size, and the other's may be small.
-SURELY: Final = 4.0
 
 # Of time series alone
 

@@ -23,10 +23,10 @@ from calib.gap.finding import EffectName, Nameable, Parameters
 from calib.gap.posterior.constants import (
     CERTAIN,
     CREDIBLE_LEAST,
-    DEPARTURES,
     LAW_MOST,
     MARGIN,
     NAME_PRIOR,
+    ROUGH,
     SIZE_COST,
     SIZE_LEVELS,
     MOSTLY_sd,
@@ -324,7 +324,7 @@ ODDS = math.log(CERTAIN / (1.0 - CERTAIN))
 # Standard deviations at which the expected log evidence, half their square, pays a name, and its margin over a rival:
 NAMEABLE_sd = math.sqrt(2.0 * (ODDS - math.log(NAME_PRIOR) + SIZE_COST)) + MOSTLY_sd
 TOLD_APART_sd = math.sqrt(2.0 * ODDS) + MOSTLY_sd
-RIVAL_LEVEL, RIVAL_DEPARTURE = SIZE_LEVELS[2], DEPARTURES[2]  # a large one, of the usual roughness
+RIVAL_LEVEL = SIZE_LEVELS[2]  # a large one
 
 
 def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
@@ -352,7 +352,7 @@ def _taken(evidence: Evidence, columns: Places, rival: int) -> Array:
     """What a rival takes at most of G's diagonal at `columns`: all that the root mean square of what is left needs."""
     at, term = evidence.places[rival], evidence.terms[rival]
     sd = np.full(len(at), RIVAL_LEVEL)
-    sd[term.laws : term.laws + term.departures] *= RIVAL_DEPARTURE
+    sd[term.laws : term.laws + term.departures] *= ROUGH
     return np.asarray(np.sum(evidence.taken(at, sd, columns, 1.0)[:, :-1] ** 2, axis=0))
 
 

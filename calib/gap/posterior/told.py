@@ -23,13 +23,11 @@ from scipy.special import chdtri, ndtr
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import DEPARTURES, SURE_sd
+from calib.gap.posterior.constants import ROUGH, SURE_sd
 from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.term import Key, Term, parameters_of
 from control.model.arm import Arm
 from control.model.effects import linear_values
-
-ROUGH = DEPARTURES[2]  # how far the usual part departs from its law
 
 
 @dataclass(frozen=True, slots=True)

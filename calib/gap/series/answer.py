@@ -13,7 +13,7 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import parameters
 from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName, Nameable, NamedEffect, Remainder, Unknown
-from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT_MOST
+from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT_MOST, UNTOLD
 from calib.gap.posterior.decide import left_with, nameable
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.term import Block, Key
@@ -259,7 +259,7 @@ def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[K
     """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
     scene = fit.point.scene
     rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
-    most = math.sqrt(1.0 + REMAINS) if rivals else SILENT_MOST
+    most = UNTOLD if rivals else SILENT_MOST
     if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
         return None
     size, words = max(

@@ -21,6 +21,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
+from calib.gap.posterior.constants import CHECKED_sd
 from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.linear import SeriesFit, without_each
 from calib.gap.series.split import Picked, RowSplit
@@ -30,7 +31,6 @@ from control.model.arm import Arm
 from control.model.description import arm_text, parse_arm
 from control.model.effects import EFFECTS
 
-INTERVAL_sd = 1.96  # of a value: a name whose 95 % interval holds nought is none
 GROUPS_LEAST = 3  # of runs that are left out in turn, for a spread between them
 
 
@@ -171,7 +171,7 @@ class _Laws:
             needed[_name(member)] = self._missed(place)
             size, sd = self.whole[place], np.sqrt(np.diag(covariance[member.number])[: place.stop - place.start])
             far = float(np.linalg.norm(size / np.maximum(sd, 1e-300)))
-            if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < INTERVAL_sd):
+            if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < CHECKED_sd):
                 worst[_name(member)] = far if size[0] > 0.0 else -far
         if worst:
             return {min(worst, key=lambda key: worst[key]): "may as well be none, identified with what else is named"}

@@ -13,11 +13,11 @@ from calib.gap.effects.catalogue import comes_round, is_gear, series_of, series_
 from calib.gap.effects.record import departures
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import (
-    DEPARTURES,
     FLOOR_DOUBT,
     IMMATERIAL,
     MARGIN,
     REMAINS,
+    ROUGH,
     SIZE_LEVELS,
     UNTOLD,
     SETTLED_sd,
@@ -189,7 +189,7 @@ def _usual(term: SeriesTerm) -> Array:
     if not term.is_name:
         return np.asarray(term.scales()[0][-1])
     rest = term.count - term.laws - term.departures
-    return np.repeat((SIZE_LEVELS[-1], DEPARTURES[2], 1.0), (term.laws, term.departures, rest))
+    return np.repeat((SIZE_LEVELS[-1], ROUGH, 1.0), (term.laws, term.departures, rest))
 
 
 # Names that explain nearly the same rows, compared each at the operating point of its own.
@@ -254,7 +254,6 @@ def _log(fit: SeriesFit, rows: Picked) -> float:
 # Nominal values are right to a part of the smallest size that is worth a name, and parts whose laws the file has depart from
 # them as all real parts do. A rotor that the file does not know may take all that its motor gives: else what it takes while the
 # joint accelerates looks like a soft gear, another link or another motor.
-KNOWN_DEPARTURE = DEPARTURES[2]
 NUISANCES = Block(0, "nuisances")
 
 
@@ -317,7 +316,7 @@ def _departing(point: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
     column = point.scene.split(point.scene.columns.friction_slope(law)[:, None])
     bent, _ = departures(point.scene, series.departs, law.name.joint - 1, column)
     if bent:
-        yield _nuisance(f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1])
+        yield _nuisance(f"{law.name}, as it departs", scaled(bent, ROUGH), next(iter(bent.values())).shape[1])
 
 
 def _nuisance(words: str, response: dict[int, np.ndarray], width: int) -> SeriesTerm:
