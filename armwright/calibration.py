@@ -151,7 +151,7 @@ def read_points(path: str | Path, joint_count: int | None = None) -> Points:
 
 def calibrate(
     arm: Arm,
-    points: Points,
+    points: Points | str | Path,
     *,
     effects: Sequence[str] = (),
     free: Sequence[str] = (),
@@ -165,7 +165,7 @@ def calibrate(
 
     Args:
         arm: the nominal arm.
-        points: with measured tips, or in cavities of the arm's calibration table.
+        points: with measured tips, or in cavities of the arm's calibration table; or a points.csv of them.
         effects: to identify as well: "backlash:2", "joint_compliance:2", "encoder_scale:1", "belt_coupling" ...
         free: frames to identify as well, of "base", "table", "tool".
         fixed: names of parameters that keep their value, such as "theta4".
@@ -177,26 +177,28 @@ def calibrate(
     Raises:
         CalibrationError: the points or the options are not usable.
     """
-    _require_of(arm, points)
+    points = points_for(arm, points)
     choice = Choice(fixed=tuple(fixed), freed=tuple(free), effects=tuple(effects))
     plan = CalibrationPlan(choice, objective_named(objective), accuracy_m, leave_out, seed=seed)
     return CalibrationResult(calibrated(arm, points, plan))
 
 
-def verify(nominal: Arm, calibrated_arm: Arm, points: Points) -> Comparison:
-    """Compare errors of two models of one arm; use points that the calibration did not use.
+def verify(nominal: Arm, calibrated_arm: Arm, points: Points | str | Path) -> Comparison:
+    """Compare errors of two models of one arm; use points, or a points.csv, that the calibration did not use.
 
     `of("all")` gives mean, RMS, largest and the significance of the difference; `of(setup)` that of one setup.
     CalibrationError if no point has a tip to compare with.
     """
-    _require_of(nominal, points)
-    _require_of(calibrated_arm, points)
-    return compare_arms(nominal, calibrated_arm, points)
+    return compare_arms(nominal, calibrated_arm, points_for(calibrated_arm, points_for(nominal, points)))
 
 
-def _require_of(arm: Arm, points: Points) -> None:
+def points_for(arm: Arm, points: Points | str | Path) -> Points:
+    """Points of `arm`, read where they are a file. CalibrationError for those of an arm with another number of joints."""
+    if not isinstance(points, Points):
+        return read_points(points, arm.joint_count)
     if points.joint_count != arm.joint_count:
         raise CalibrationError(f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}")
+    return points
 
 
 def _array(values: ArrayLike, what: str) -> Array:

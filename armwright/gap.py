@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.errors import CalibrationError
+from armwright.calibration import points_for
 from calib.gap.finding import GapFinding
 from calib.gap.report import GapOutcome
 from calib.gap.words import in_words
@@ -84,8 +84,7 @@ def find_gap(
 def _recordings(arm: Arm, points: Points | Files | None, log: Files | None, current_unit: str) -> Recordings:
     if not isinstance(points, Points):
         return read_recordings(arm, _files(points), _files(log), current_unit)
-    if points.joint_count != arm.joint_count:
-        raise CalibrationError(f"points: {points.joint_count} joints, but arm {arm.name} has {arm.joint_count}")
+    points_for(arm, points)
     if log is None:
         return Recordings(points, None, (), (), ())
     return dataclasses.replace(read_recordings(arm, (), _files(log), current_unit), points=points)

@@ -14,6 +14,7 @@ import pytest
 
 import armwright
 from benchmarks.arms import SIX, circle_in_place
+from calib.points.writer import write_points
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "python.md").read_text("utf-8")
@@ -117,6 +118,17 @@ def test_tip_poses_of_six_joints_go_there_and_back() -> None:
         kinematics.inverse([*poses[0, :3], 2.0, 0.0, 0.0, 0.0])
     with pytest.raises(armwright.MissingModel, match="`inverse` with different near_rad"):
         kinematics.solutions(poses[0, :3])
+
+
+def test_points_may_be_a_file(tmp_path: Path) -> None:
+    arm, file = armwright.load_arm("right"), tmp_path / "points.csv"
+    q_rad = [[0.1 * k, -0.5, 0.5] for k in range(5)]
+    write_points(file, armwright.make_points(q_rad, armwright.Kinematics(arm).forward(q_rad)))
+    assert armwright.verify(arm, arm, file).of("all").after.mean_m == pytest.approx(0.0, abs=1e-6)
+    file.write_text("setup,point,repeat,q1_rad,x_m,y_m,z_m\nfree,1,1,0,0,0,0\n", encoding="utf-8")
+    for look in (armwright.calibrate, armwright.find_gap, lambda arm, points: armwright.verify(arm, arm, points)):
+        with pytest.raises(armwright.CalibrationError, match=r"points\.csv, line 1: "):
+            look(arm, str(file))
 
 
 def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
