@@ -92,24 +92,41 @@ def test_progress_is_told_from_start_to_end(null: DynamicOutcome, told: list[flo
 
 
 @pytest.mark.parametrize("order", third_of([7, 1]))
-def test_cogging_is_named_with_order_amplitude_and_phase(order: int) -> None:
-    found = hiding(on_joint(1, lambda j, q, speed, link: 0.4 * np.sin(order * 100.0 * q + 0.8)))
-    assert names(found) == [EffectName("cogging", 1)]
-    value = {name: pair[0] for name, pair in found.effects[0].parameters.items()}
-    assert value["order"] == order
-    assert value["amplitude_Nm"] == pytest.approx(0.4, rel=0.1)
-    assert value["phase_rad"] == pytest.approx(0.8, abs=0.1)
+def test_cogging_and_an_eccentric_encoder_are_named_from_currents_and_from_the_tip(order: int) -> None:
+    def turned(q: Array, gravity: Array) -> Array:
+        ahead = np.zeros_like(q)
+        ahead[:, 2] = 0.004 * np.sin(q[:, 2] + 0.5)
+        return ahead
+
+    log = log_of(ARM, on_joint(1, lambda j, q, speed, link: 0.4 * np.sin(order * 100.0 * q + 0.8)), turned=turned)
+    found = find(ARM, log, candidates=(*FEW, "encoder_eccentricity", "encoder_scale", "belt_coupling"))
+    assert names(found) == [EffectName("cogging", 1), EffectName("encoder_eccentricity", 3)]
+    cogging, eccentric = ({name: value for name, (value, _) in one.parameters.items()} for one in found.effects)
+    assert cogging["order"] == order
+    assert cogging["amplitude_Nm"] == pytest.approx(0.4, rel=0.1)
+    assert cogging["phase_rad"] == pytest.approx(0.8, abs=0.1)
+    assert eccentric["amplitude_rad"] == pytest.approx(0.004, rel=0.1)
+    assert eccentric["phase_rad"] == pytest.approx(0.5, abs=0.1)
+    assert found.gap_after < 1.1
 
 
-def test_two_effects_on_two_joints_are_both_named() -> None:
+def test_two_effects_on_two_joints_are_both_named_and_drawn_over_their_own_variables_beside_the_data() -> None:
     def law(j: int, q: Array, speed: Array, link: Array) -> Array:
         if j == 0:
             return np.asarray(0.5 * speed)
         return np.asarray(0.15 * np.abs(link) * np.sign(speed)) if j == 2 else np.zeros_like(q)
 
-    found = hiding(law)
-    assert set(names(found)) == {EffectName("viscous_friction", 1), EffectName("load_friction", 3)}
-    assert found.gap_after < 1.3
+    outcome = examine(ARM, log_of(ARM, law), candidates=FEW)
+    assert set(names(outcome.finding)) == {EffectName("viscous_friction", 1), EffectName("load_friction", 3)}
+    assert outcome.finding.gap_after < 1.3
+    (drawn,) = (one for one in outcome.laws if one.name == EffectName("viscous_friction", 1))
+    drive, fast = ARM.drive(1), np.abs(drawn.at) > 0.1
+    size_mA = 1e3 * 0.5 * drawn.at / (drive.gear_ratio * drive.torque_constant_Nm_A)
+    assert (drawn.variable, drawn.unit) == ("speed of joint 1 [rad/s]", "mA")
+    assert drawn.law[fast] == pytest.approx(size_mA[fast], rel=0.1)
+    assert float(np.std(drawn.data - drawn.whole)) < 0.05 * float(np.std(size_mA))
+    (drawn,) = (one for one in outcome.laws if one.name == EffectName("load_friction", 3))
+    assert (drawn.variable, drawn.unit) == ("transmitted torque of joint 3 [N m]", "mA")
 
 
 def test_drag_with_the_square_of_speed_is_unknown_and_says_where() -> None:
@@ -160,20 +177,6 @@ def test_another_winding_resistance_is_unknown_as_it_is_in_no_list() -> None:
     assert not found.effects
     assert found.unknown is not None
     assert "resistance" in found.unknown.where
-
-
-def test_an_eccentric_encoder_is_named_from_the_tip() -> None:
-    def turned(q: Array, gravity: Array) -> Array:
-        ahead = np.zeros_like(q)
-        ahead[:, 2] = 0.004 * np.sin(q[:, 2] + 0.5)
-        return ahead
-
-    log = log_of(ARM, turned=turned)
-    found = find(ARM, log, candidates=("encoder_eccentricity", "encoder_scale", "belt_coupling"))
-    assert names(found) == [EffectName("encoder_eccentricity", 3)]
-    assert found.effects[0].parameters["amplitude_rad"][0] == pytest.approx(0.004, rel=0.1)
-    assert found.effects[0].parameters["phase_rad"][0] == pytest.approx(0.5, abs=0.1)
-    assert found.gap_after < 1.1
 
 
 def changed(log: Log, change: object) -> Log:
