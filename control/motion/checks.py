@@ -155,20 +155,29 @@ class Demand:
     factors: Array
 
 
-def place(waypoints: Waypoints, times_s: Sequence[float], time_s: float) -> tuple[str, int]:
-    """Describe a time on the path, and return the way-point (1-based) nearest in time."""
-    nearest = int(np.abs(np.asarray(times_s) - time_s).argmin())
-    name = waypoints.name(nearest + 1)
-    if abs(times_s[nearest] - time_s) < 1e-9:
-        return name, nearest + 1
-    return f"{'before' if time_s < times_s[nearest] else 'after'} {name}", nearest + 1
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """Way-points, and when a path passes each of them."""
+
+    waypoints: Waypoints
+    times_s: Sequence[float]
+
+    def nearest(self, time_s: float) -> int:
+        """The way-point (1-based) that is nearest in time."""
+        return int(np.abs(np.asarray(self.times_s) - time_s).argmin()) + 1
+
+    def error(self, time_s: float, problem: object) -> PathError:
+        """The error that says where on the path there is a problem."""
+        number = self.nearest(time_s)
+        where, passed_s = self.waypoints.name(number), self.times_s[number - 1]
+        if abs(passed_s - time_s) >= 1e-9:
+            where = f"{'before' if time_s < passed_s else 'after'} {where}"
+        return PathError(f"{where}: {problem}; nothing was moved", number)
 
 
-def check_poses(
-    waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, joints: JointSamples, limits: JointLimits
-) -> None:
+def check_poses(way: Passage, tip: TipSamples, joints: JointSamples, limits: JointLimits) -> None:
     """Raise PathError unless every pose exists, is within the joints' range and far enough from singular."""
-    _require(joints.is_solved, waypoints, times_s, tip, lambda i: "the arm cannot follow the path there on this branch")
+    _require(joints.is_solved, way, tip, lambda i: "the arm cannot follow the path there on this branch")
     for joint in range(joints.q_rad.shape[1]):
         q = joints.q_rad[:, joint]
         low, high = limits.lower_rad[joint], limits.upper_rad[joint]
@@ -177,12 +186,11 @@ def check_poses(
         def say(i: int, joint: int = joint, low: float = low, high: float = high, beyond: Array = beyond) -> str:
             return f"joint {joint + 1} would be {beyond[i]:.4f} rad outside of its range {low:.4f} to {high:.4f}"
 
-        _require(beyond <= _ROUNDING_RAD, waypoints, times_s, tip, say, -beyond)
+        _require(beyond <= _ROUNDING_RAD, way, tip, say, -beyond)
     margin = joints.smallest_singular_m
     _require(
         margin >= LEAST_SINGULAR_M_RAD,
-        waypoints,
-        times_s,
+        way,
         tip,
         lambda i: (
             f"the arm is near-singular: {margin[i]:.4f} m of tip travel per rad in its worst direction, least"
@@ -192,15 +200,7 @@ def check_poses(
     )
 
 
-def check_clearance(
-    arm: Arm,
-    kinematics: ForwardKinematics,
-    setup: str,
-    waypoints: Waypoints,
-    times_s: Sequence[float],
-    tip: TipSamples,
-    q_rad: Array,
-) -> None:
+def check_clearance(arm: Arm, setup: str, way: Passage, tip: TipSamples, q_rad: Array) -> None:
     """Raise PathError where tip, forearm or elbow would go below the board (over it) or the floor
     (elsewhere).
 
@@ -208,7 +208,7 @@ def check_clearance(
     floor.
     """
     floor = arm.limits.floor_z_m + arm.limits.floor_clearance_m
-    transforms = kinematics.link_transforms(q_rad)
+    transforms = ForwardKinematics(arm).link_transforms(q_rad)
     elbow = transforms[:, -3, :3, 3] if transforms.shape[1] > 3 else tip.position_m
     for what, share in (("tip", 1.0), ("forearm", 0.75), ("forearm", 0.5), ("forearm", 0.25), ("elbow", 0.0)):
         points = elbow + share * (tip.position_m - elbow)
@@ -219,10 +219,10 @@ def check_clearance(
         def say(i: int, what: str = what, height: Array = height, is_over: NDArray[np.bool_] = is_over) -> str:
             return f"the {what} would go {-height[i]:.4f} m below the {'table' if is_over[i] else 'floor'}"
 
-        _require(height >= -TOUCH_TOLERANCE_M, waypoints, times_s, tip, say, height)
+        _require(height >= -TOUCH_TOLERANCE_M, way, tip, say, height)
 
 
-def check_room(arm: Arm, waypoints: Waypoints, times_s: Sequence[float], tip: TipSamples, q_rad: Array) -> None:
+def check_room(arm: Arm, way: Passage, tip: TipSamples, q_rad: Array) -> None:
     """Raise PathError where any link would meet floor, table or its own base, as the loop's guard sees it.
 
     An arm that begins inside may move out.
@@ -235,7 +235,7 @@ def check_room(arm: Arm, waypoints: Waypoints, times_s: Sequence[float], tip: Ti
         def say(i: int, what: str = what, distance_m: Array = distance_m) -> str:
             return f"{what}, by {-distance_m[i]:.4f} m"
 
-        _require(distance_m >= allowed_m, waypoints, times_s, tip, say, distance_m)
+        _require(distance_m >= allowed_m, way, tip, say, distance_m)
 
 
 def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: Limits) -> list[Demand]:
@@ -288,16 +288,10 @@ def _height_over_board(arm: Arm, setup: str, points: Array) -> tuple[Array, NDAr
 
 
 def _require(
-    is_good: NDArray[np.bool_],
-    waypoints: Waypoints,
-    times_s: Sequence[float],
-    tip: TipSamples,
-    say: Callable[[int], str],
-    margin: Array | None = None,
+    is_good: NDArray[np.bool_], way: Passage, tip: TipSamples, say: Callable[[int], str], margin: Array | None = None
 ) -> None:
     """Raise PathError for the worst (least margin) or first invalid sample."""
     if is_good.all():
         return
     worst = int(margin.argmin()) if margin is not None else int((~is_good).argmax())
-    where, number = place(waypoints, times_s, float(tip.times_s[worst]))
-    raise PathError(f"{where}: {say(worst)}; nothing was moved", number)
+    raise way.error(float(tip.times_s[worst]), say(worst))

@@ -237,8 +237,7 @@ class BranchFollower:
                 try:
                     poses.append(tuple(self._inverse.follow(spline.at(time)[0], poses[-1])))
                 except ArmError as problem:
-                    where, number = checks.place(self._waypoints, spline.times_s, time)
-                    raise PathError(f"{where}: {problem}; nothing was moved", number) from problem
+                    raise checks.Passage(self._waypoints, spline.times_s).error(time, problem) from problem
                 times.append(time)
             at_waypoints.append(poses[-1])
         return times, poses, tuple(at_waypoints)
@@ -359,9 +358,8 @@ class PostureFollower:
             solved = self._rule.next(pose_inverse.Targets(np.array([position]), rotation), poses[-1])
             travel_rad = float(np.abs(solved.q_rad - poses[-1]).max())
             if travel_rad > JUMP_RAD or not solved.is_solved[0]:
-                where, number = checks.place(self._waypoints, spline.times_s, time_s)
                 problem = self._lost(position, solved, travel_rad)
-                raise PathError(f"{where}: {problem}; nothing was moved", number)
+                raise checks.Passage(self._waypoints, spline.times_s).error(time_s, problem)
             poses.append(solved.q_rad)
         return fractions, [tuple(q[0].tolist()) for q in poses]
 
@@ -389,12 +387,11 @@ class PostureFollower:
             excess = off / np.where(is_between, farthest, tolerance)
             worst = int(excess.argmax())
             if excess[worst] > 1.0:
-                where, number = checks.place(self._waypoints, spline.times_s, float(tip.times_s[worst]))
                 what = "position" if unit == "m" else "orientation"
-                raise PathError(
-                    f"{where}: the {joints.q_rad.shape[1]} joints of arm {self._name} come no nearer than {off[worst]:.4f} {unit}"
-                    f" to the {what} (allowed {tolerance:g} at a way-point, {farthest:g} between two); nothing was moved",
-                    number,
+                raise checks.Passage(self._waypoints, spline.times_s).error(
+                    float(tip.times_s[worst]),
+                    f"the {joints.q_rad.shape[1]} joints of arm {self._name} come no nearer than {off[worst]:.4f} {unit}"
+                    f" to the {what} (allowed {tolerance:g} at a way-point, {farthest:g} between two)",
                 )
 
 

@@ -229,11 +229,10 @@ class _Planner:
 
     def _check(self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples) -> None:
         """Checks that do not depend on speed."""
-        checks.check_poses(self._waypoints, spline.times_s, tip, joints, self._limits)
-        checks.check_clearance(
-            self._arm, self._inverse.kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
-        )
-        checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
+        way = checks.Passage(self._waypoints, spline.times_s)
+        checks.check_poses(way, tip, joints, self._limits)
+        checks.check_clearance(self._arm, self._setup, way, tip, joints.q_rad)
+        checks.check_room(self._arm, way, tip, joints.q_rad)
 
     def _factors(
         self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples, causes: dict[int, tuple[float, int, str]]
@@ -246,7 +245,7 @@ class _Planner:
         np.maximum.at(factors, tip.section, worst)
         for section in np.flatnonzero(factors > 1.0):
             sample = int(np.where(tip.section == section, worst, -1.0).argmax())
-            _, number = checks.place(self._waypoints, spline.times_s, float(tip.times_s[sample]))
+            number = checks.Passage(self._waypoints, spline.times_s).nearest(float(tip.times_s[sample]))
             if factors[section] > causes.get(int(section), (1.0, 0, ""))[0]:
                 causes[int(section)] = (float(factors[section]), number, demands[limit[sample]].limit)
         return factors
