@@ -171,8 +171,17 @@ def uncertainty(
         spread[free] = part.spread
     shares = np.concatenate([leverages(part, spread) for _, part in sensitivity.blocks()])
     noise = noise_scale(objective, residuals, shares)
-    sd = np.where(resting, np.nan, np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread)))
-    lower, upper = _intervals(x, limits, resting, known, noise, objective, residuals, sensitivity)
+    free_sd = np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread))
+    sd = np.where(resting, np.nan, free_sd)
+    # Around the optimum without bounds, one Newton step away along the free gradient, and truncated at the bounds: a true value
+    # inside them is covered as often as without truncation.
+    middle = x.copy()
+    if resting.any():
+        slope = _slope(objective, residuals, sensitivity, resting)
+        outward = np.where(np.sign(slope) == -np.sign(x[resting]), slope, 0.0)
+        middle -= known.spread @ (known.spread[resting].T @ outward) / noise.curvature
+    half = noise.quantile(LEVEL) * free_sd
+    lower, upper = np.clip(middle - half, -limits, limits), np.clip(middle + half, -limits, limits)
     scale = np.array([parameter.scale for parameter in parameters])
     estimates = tuple(
         Estimate(
@@ -185,30 +194,6 @@ def uncertainty(
         for k, parameter in enumerate(parameters)
     )
     return Estimation(estimates, noise, known)
-
-
-def _intervals(
-    x: Array,
-    limits: Array,
-    resting: npt.NDArray[np.bool_],
-    known: Determinability,
-    noise: NoiseScale,
-    objective: Objective,
-    residuals: Array,
-    sensitivity: Sensitivity,
-) -> tuple[Array, Array]:
-    """Scaled intervals, (k,) each: around the optimum without bounds, truncated at the bounds.
-
-    That optimum is one Newton step away along the free gradient. A true value inside the bounds is
-    covered as often as without truncation.
-    """
-    middle = x.copy()
-    if resting.any():
-        slope = _slope(objective, residuals, sensitivity, resting)
-        outward = np.where(np.sign(slope) == -np.sign(x[resting]), slope, 0.0)
-        middle -= known.spread @ (known.spread[resting].T @ outward) / noise.curvature
-    half = noise.quantile(LEVEL) * np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread))
-    return np.clip(middle - half, -limits, limits), np.clip(middle + half, -limits, limits)
 
 
 def _slope(objective: Objective, residuals: Array, sensitivity: Sensitivity, resting: npt.NDArray[np.bool_]) -> Array:

@@ -85,9 +85,22 @@ def find_outliers(
     """
     fit = LinearFit.around(problem, x, extra)
     test = outlier_test(fit, noise_m, false_alarm)
-    rows = np.flatnonzero(~test.agrees)
-    named = [_outlier(problem, x, int(row), test, fit.unweighted(int(row), test.deleted_m[row]), cavities or {}) for row in rows]
-    return tuple(sorted(named, key=lambda outlier: -outlier.score))
+    observed, outliers = problem.observed, []
+    for row in np.flatnonzero(~test.agrees).tolist():
+        off_m = fit.unweighted(row, test.deleted_m[row])
+        outliers.append(
+            Outlier(
+                row,
+                observed.setup[row] if observed.setup else "",
+                observed.point[row] if observed.point else str(row + 1),
+                float(np.linalg.norm(off_m)),
+                float(test.score[row]),
+                test.noise_m,
+                frozen(off_m),
+                cause_of(problem, x, row, off_m, test.noise_m, cavities or {}),
+            )
+        )
+    return tuple(sorted(outliers, key=lambda outlier: -outlier.score))
 
 
 def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m, false_alarm: float = FALSE_ALARM) -> OutlierTest:
@@ -172,23 +185,6 @@ def _clearly_alike(fit: LinearFit, squares: Array) -> Mask:
     agreeing = squares <= variance * float(chdtri(3, 0.01))
     agreeing[np.argpartition(squares, count - 1)[:count]] = True
     return np.asarray(agreeing)
-
-
-def _outlier(problem: ArmProblem, x: Array, row: int, test: OutlierTest, off_m: Array, cavities: Mapping[str, Array]) -> Outlier:
-    """The outlier of a row, with its cause."""
-    observed = problem.observed
-    setup = observed.setup[row] if observed.setup else ""
-    point = observed.point[row] if observed.point else str(row + 1)
-    return Outlier(
-        row,
-        setup,
-        point,
-        float(np.linalg.norm(off_m)),
-        float(test.score[row]),
-        test.noise_m,
-        frozen(off_m),
-        cause_of(problem, x, row, off_m, test.noise_m, cavities),
-    )
 
 
 # The probable cause of an outlier, if exactly one fits its residual.
