@@ -266,9 +266,6 @@ def _is_more_than_chance(before_m2: float, after_m2: float, count: int) -> bool:
 # `register` works on arrays, `register_boards` on the rows of a markers.csv. Frames: measured positions are
 # in the arm's base frame, board positions in the board's own; base = rotation @ board + origin_m.
 
-
-__all__ = ["Markers", "Registration", "read_markers", "register", "register_boards"]
-
 FEWEST = 3
 LINE_TOLERANCE = 0.02  # spread across the best line, as a share of that along it
 MISFIT = 0.1  # largest root mean square residual, as a share of the markers' spread

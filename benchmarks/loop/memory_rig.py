@@ -13,7 +13,8 @@ from control.hardware.connect import reference_hardware
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.board import MotorBoard
+from firmware_iface.motor.bus import MotorBus
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import Scenario
 

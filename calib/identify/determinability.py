@@ -233,8 +233,6 @@ def triangle(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
-__all__ = ["NOTICEABLE", "Determinability", "Undetermined", "determinability", "null_space"]
-
 # A combination is determined if a change by its bound moves the tips by more than this share of what the
 # strongest one does. There is a gap between the two: on the reference board 9e-4 (last determined)
 # against 3e-6 (first that is not).

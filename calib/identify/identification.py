@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -216,9 +216,6 @@ def _slope(objective: Objective, residuals: Array, sensitivity: Sensitivity, res
     return sensitivity.pulled(score)[resting]
 
 
-__all__ = ["Estimate", "Identification", "fit", "identify"]
-
-
 @dataclass(frozen=True, slots=True)
 class OrientationFit:
     """What was identified from orientations: `rows` of the points that have one, errors (r, 3) as rotation vectors in the base
@@ -311,14 +308,6 @@ class Identification:
     def in_words(self) -> tuple[str, ...]:
         """Sentences for the operator: what the data determine and what not."""
         return tuple(_sentences(self))
-
-
-def fit(
-    problem: ArmProblem, objective: Objective | None = None, starts_count: int = 4, seed: int = 0
-) -> tuple[Minimum, Objective]:
-    """The optimum only, and the minimised objective: Huber's without a threshold derives it from the noise."""
-    _, best = _solved(problem, objective or SumOfDistances(), starts_count, seed)
-    return replace(best, x=best.x[: len(problem.parameters)]), best.objective
 
 
 def identify(

@@ -29,7 +29,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_arm(args: argparse.Namespace) -> "ArmAtDesk":
-    from console.screen.app import ArmAtDesk, Files
+    from console.screen.app import ArmAtDesk
+    from console.screen.operating import Files
 
     arm = load_arm(args.arm)
     socket = socket_path(args, arm)
@@ -39,7 +40,8 @@ def _of_arm(args: argparse.Namespace) -> "ArmAtDesk":
 
 def _of_cell(args: argparse.Namespace) -> "list[ArmAtDesk]":
     """A station an arm. Each has files of its own: a place of one arm is another place for the next."""
-    from console.screen.app import ArmAtDesk, Files
+    from console.screen.app import ArmAtDesk
+    from console.screen.operating import Files
 
     if args.socket is not None:
         raise ArmError("--socket: not together with --cell: every arm of a cell has its own")

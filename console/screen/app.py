@@ -74,7 +74,6 @@ class Desk:
             self.operating.show(status)
 
 
-__all__ = ["ConsoleApp", "Files", "ArmAtDesk"]
 COMMAND_KEYS = ("colon", "slash")
 
 

@@ -24,7 +24,8 @@ from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import ConnectionFailed, LinkError, Problems, WrongIdentity
-from firmware_iface.motor.board import DigitalPins, MotorBoard, MotorBus
+from firmware_iface.motor.board import DigitalPins, MotorBoard
+from firmware_iface.motor.bus import MotorBus
 from firmware_iface.serial_link import open_serial
 
 

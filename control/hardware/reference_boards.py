@@ -14,7 +14,8 @@ from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardFaulted, BoardSilent, LinkError, MisuseError
-from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.board import MotorBoard
+from firmware_iface.motor.bus import MotorBus
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter, SetpointMode
 

@@ -10,7 +10,7 @@ from control.model.cell import Cell
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.errors import ConnectionFailed, LinkError
-from firmware_iface.motor.board import MotorBus
+from firmware_iface.motor.bus import MotorBus
 
 
 class SharedBuses:

@@ -208,8 +208,6 @@ def _axes_at_zero(kinematics: ForwardKinematics) -> Axes:
     return Axes(frames[turning, :3, 2], frames[turning, :3, 3], tip[:3], facing)
 
 
-__all__ = ["BRANCHES", "Branch", "InverseKinematics", "Solution"]
-
 _LARGEST_FOLLOWED_RAD = 0.5  # between two cycles; more is a jump to another solution
 
 

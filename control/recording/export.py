@@ -17,8 +17,6 @@ from control.recording.mcap_file import to_mcap
 from control.recording.reading import RecordError, Recording, recorded_arm
 from control.recording.record import END_FIELDS, JOINT_SIDE_FIELDS, LEAD_FIELD, Layout
 
-__all__ = ["export", "to_csv", "to_mcap"]
-
 Row = dict[str, float]
 CSV_SCALARS = ("run", "t_s", "payload_kg", "x_m", "y_m", "z_m")
 CSV_JOINT = ("q{}_rad", "q{}_set_rad", "speed{}_rad_s", "speed{}_set_rad_s", "i{}_A", "u{}_V", "temperature{}_C", "counted{}_s")

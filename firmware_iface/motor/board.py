@@ -20,8 +20,6 @@ from firmware_iface.motor.bus import ANSWER_TIMEOUT_s, MotorBus, ParameterChanne
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
 from firmware_iface.motor.wire import SEQUENCE_MASK, DigitalCommand, DigitalReply, MotorParameter, SetpointMode
 
-__all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
-
 _STEP_s = 0.001
 _RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again during state changes
 _SECOND_REPLIES = 3  # CAN may duplicate a frame now and then, but not three times in a row

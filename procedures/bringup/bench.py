@@ -25,7 +25,8 @@ from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import LinkError, MisuseError, connect_all
 from firmware_iface.link import Closing
-from firmware_iface.motor.board import DigitalPins, MotorBoard, MotorBus
+from firmware_iface.motor.board import DigitalPins, MotorBoard
+from firmware_iface.motor.bus import MotorBus
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter
 from firmware_iface.serial_link import open_serial

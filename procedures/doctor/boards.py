@@ -21,8 +21,8 @@ from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardSilent, LinkError, PortInUse, PortMissing
-from firmware_iface.motor.board import MotorBoard, MotorBus
-from firmware_iface.motor.bus import BusScan, listen, scan_nodes
+from firmware_iface.motor.board import MotorBoard
+from firmware_iface.motor.bus import BusScan, MotorBus, listen, scan_nodes
 from firmware_iface.motor.wire import MotorParameter, ResetCause
 from firmware_iface.serial_link import open_serial
 from procedures.doctor.finding import SUPPLY_LIMITS, Finding, Level, graded

@@ -12,7 +12,8 @@ from firmware_iface.errors import (
     ProtocolViolation,
     WrongIdentity,
 )
-from firmware_iface.motor.board import MotorBoard, MotorBus, MotorIdentity
+from firmware_iface.motor.board import MotorBoard, MotorIdentity
+from firmware_iface.motor.bus import MotorBus
 from firmware_iface.motor.cia402 import DriveCommand, DriveState
 from firmware_iface.motor.wire import (
     MotorFault,

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from benchmarks.loop.memory_link import MemoryBus
 from firmware_iface.errors import LinkError
 from firmware_iface.motor import wire
-from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.board import MotorBoard
+from firmware_iface.motor.bus import MotorBus
 from tests.firmware_iface.motor_command import MotorCommand
 
 u8 = st.integers(0, 255)

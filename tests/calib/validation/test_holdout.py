@@ -12,8 +12,8 @@ from calib.arm_problem.link_bending import known_bending
 from calib.arrays import frozen, norms
 from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified
 from calib.errors import CalibrationError
-from calib.identify.identification import fit
 from calib.identify.objective import LeastSquares
+from calib.identify.solver import minimise
 from calib.points.points import joined, make_points
 from calib.validation.holdout import held_out
 from calib.validation.verify import errors_of, predicted_tips
@@ -33,7 +33,7 @@ def predicted_by(build):
     """By least squares of the problem that is built of the other points."""
 
     def predicted(some, rest):
-        best, _ = fit(problem := build(some), LSQ, starts_count=1)
+        best = minimise(problem := build(some), LSQ, starts_count=1)
         return tuple((build(rest), problem.solution(x)) for x in (np.zeros(len(best.x)), best.x))
 
     return predicted

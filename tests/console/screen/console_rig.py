@@ -18,8 +18,9 @@ from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
 
-from console.screen.app import ArmAtDesk, ConsoleApp, Files
+from console.screen.app import ArmAtDesk, ConsoleApp
 from console.screen.drawing import EventLog, Panel
+from console.screen.operating import Files
 from control.model.arm import Arm
 from control.server.server import Server
 from tests.cell import PERIOD_S, RIGHT, Cell

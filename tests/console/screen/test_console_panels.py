@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from console.screen.app import ArmAtDesk, ConsoleApp, Files
+from console.screen.app import ArmAtDesk, ConsoleApp
 from console.screen.drawing import (
     BINS,
     SIDE,
@@ -31,6 +31,7 @@ from console.screen.drawing import (
     view,
     width_of,
 )
+from console.screen.operating import Files
 from console.screen.texts import events_between, headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 from tests.cell import RIGHT
