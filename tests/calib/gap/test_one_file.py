@@ -250,7 +250,7 @@ def test_the_file_of_poses_has_what_the_runs_name_besides_and_no_drive_is_invent
         drives=tuple(dataclasses.replace(drive, gear_ratio=1.0) for drive in arm.drives),
     )
     drag = SimpleNamespace(name=dragged, parameters={"torque_Nm": (0.4, 0.01)}, is_nothing=False)
-    finding = SimpleNamespace(effects=(drag,), maps=None)
+    finding = SimpleNamespace(effects=(drag,), refitted=(), maps=None)
     written = _updated(arm, cast(Any, finding), cast(Any, SimpleNamespace(file=searched)))
     assert [(one.effect, one.joint) for one in written.effects] == [("backlash", 1), ("coulomb_friction", 2)]
     assert written.drives == arm.drives
