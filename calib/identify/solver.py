@@ -140,7 +140,7 @@ Equal = Literal["exactly", "by noise"]  # how closely two fits must agree to pre
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Result of the search: unknowns x (k,), objective, number of steps, and whether it converged.
+    """Result of the search: unknowns x (k,), objective, and whether it converged.
 
     `objective` is the requested one with its threshold; `value` is its value, without a constraint. `accuracy` is None
     if none was requested.

@@ -38,6 +38,7 @@ class Average:
     direction: tuple[int, ...]
     camera_frames: int
     tip_m: tuple[float, float, float] | None
+    tip_std_m: tuple[float, float, float] | None
     count_rad: tuple[float, ...]
     t_s: float
     target: MeanPose | None = None
@@ -105,6 +106,7 @@ class Averaging:
             direction=tuple(direction),
             camera_frames=in_base.frames if in_base is not None else 0,
             tip_m=in_base.position_m if in_base is not None else None,
+            tip_std_m=in_base.std_m if in_base is not None else None,
             count_rad=count_rad,
             t_s=self._start_s,
             target=target,

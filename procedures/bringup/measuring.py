@@ -269,6 +269,7 @@ class JointMeasurements:
     cycle_rad: float = 0.0
     """How far the joint creeps between two looks at its switch, where that is more than a board's own look."""
     flags: int = 0
+    stalled_early: bool = False
 
 
 def measure(driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool) -> JointMeasurements:
@@ -360,6 +361,7 @@ def _friction(driver: JointDriver, measured: JointMeasurements) -> None:
             run = driver.turn(direction * length_rad, speed_rad_s)
             _note_flags(run, measured)
             if run.end is not MotionEnd.REACHED:
+                measured.stalled_early = True
                 continue
             steady = _steady(run, driver.scale)
             if steady is not None:

@@ -230,8 +230,7 @@ def test_an_average_is_over_its_duration_of_cycles_and_of_the_frames_that_came()
     assert result.count_rad == pytest.approx((SCALE_rad,))
     assert result.current_A == (2.0,)
     assert result.tip_m == pytest.approx((0.5, 0.0, 0.1005))
-    assert result.target is not None
-    assert result.target.std_m == pytest.approx((0.0, 0.0, 0.000527), abs=1e-6)
+    assert result.tip_std_m == pytest.approx((0.0, 0.0, 0.000527), abs=1e-6)
 
 
 def test_an_average_without_a_camera_has_no_tip() -> None:
