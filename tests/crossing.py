@@ -284,10 +284,10 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--count", type=int, default=1000, help="sequences in all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=KINDS)
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     begun_s, broken, done = time.monotonic(), 0, 0
-    for kind in given.kinds:
-        for number, sequence, what in played(kind, given.seed, given.count // len(given.kinds)):
+    for kind in args.kinds:
+        for number, sequence, what in played(kind, args.seed, args.count // len(args.kinds)):
             done += 1
             if what:
                 broken += 1

@@ -52,9 +52,9 @@ def history(days: Sequence[float], rate_rad_year: Array, seed: int) -> tuple[Ent
 def entry_of(day: float, dh: Array, rng: np.random.Generator) -> Entry:
     """The line that `calibrate --history` would write."""
     problem = problem_of(ARM, measured(dh, rng), Choice())
-    found = identify(problem, objective=objective_named("lsq"), starts_count=1)
+    identification = identify(problem, objective=objective_named("lsq"), starts_count=1)
     measured_on = BEGUN + datetime.timedelta(days=day)
-    return Entry(FORMAT, measured_on, "calibrate", ARM.name, "test", {}, geometry_of(problem, found))
+    return Entry(FORMAT, measured_on, "calibrate", ARM.name, "test", {}, geometry_of(problem, identification))
 
 
 def _drifted(dh: Array, day: float, rate_rad_year: Array) -> Array:
@@ -69,30 +69,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--first-seed", type=int, default=500)
-    given = parser.parse_args()
+    args = parser.parse_args()
     inside = drifting = named = false = still = rest = kept = told = 0
     poses = workspace_poses(ARM, (), 300)
-    for seed in range(given.first_seed, given.first_seed + given.cases):
+    for seed in range(args.first_seed, args.first_seed + args.cases):
         rng = np.random.default_rng(seed)
         rates = np.where(rng.random(3) < 0.5, 0.0, rng.uniform(-8e-3, 8e-3, 3))
         days = np.sort(rng.uniform(0.0, 180.0, int(rng.integers(3, 7))))
         entries = history(days.tolist(), rates, seed)
-        found = trend_of(ARM, entries, TOLERANCE_m)
-        assert found.geometry is not None
-        for one, true in zip(found.geometry.zeros, rates, strict=True):
+        trend = trend_of(ARM, entries, TOLERANCE_m)
+        assert trend.geometry is not None
+        for one, true in zip(trend.geometry.zeros, rates, strict=True):
             inside += abs(one.change - true) <= one.half
             drifting, named = drifting + (true != 0.0), named + (true != 0.0 and one.drifts)
             still, false = still + (true == 0.0), false + (true == 0.0 and one.drifts)
-        rest += found.geometry.rest_drifts
-        if found.due is not None and 0.0 < found.due.days < found.due.furthest_days:
+        rest += trend.geometry.rest_drifts
+        if trend.due is not None and 0.0 < trend.due.days < trend.due.furthest_days:
             told += 1
             start = REFERENCE_DH + deviations(np.random.default_rng(seed), 4)
-            at_last, at_due = (_drifted(start, days[-1] + more, rates) for more in (0.0, found.due.days))
+            at_last, at_due = (_drifted(start, days[-1] + more, rates) for more in (0.0, trend.due.days))
             moved = REFERENCE.tips(at_due, poses) - REFERENCE.tips(at_last, poses)
             kept += float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) <= TOLERANCE_m
-    print(f"{inside} of {3 * given.cases} rates inside their 95 % intervals")
+    print(f"{inside} of {3 * args.cases} rates inside their 95 % intervals")
     print(f"{named} of {drifting} drifts named, {false} of {still} still joints called drifting")
-    print(f"other geometry called drifting: {rest} of {given.cases}")
+    print(f"other geometry called drifting: {rest} of {args.cases}")
     print(f"{kept} of {told} keep {1e3 * TOLERANCE_m:g} mm until the due date")
 
 

@@ -81,10 +81,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=7000)
-    given = parser.parse_args()
+    args = parser.parse_args()
     for sort in SORTS:
         tally: Counter[str] = Counter()
-        for seed in range(given.first_seed, given.first_seed + given.cases):
+        for seed in range(args.first_seed, args.first_seed + args.cases):
             joint = 2 + seed % 2 if sort == "loose link" else 1 + seed % 3
             found = checked(seed, sort, joint)
             said = "right" if is_right(found, sort, joint) else "wrong"

@@ -74,10 +74,10 @@ def spread(count: int) -> np.ndarray:
 
 def held_out_ratio(points: Points, dh: np.ndarray, objective: Objective, rng: np.random.Generator) -> float:
     """Mean distance at poses never used, over the noise floor there."""
-    found = identify(problem_of(ARM, points), objective=objective)
+    identification = identify(problem_of(ARM, points), objective=objective)
     q = random_poses(rng, HELD_OUT_COUNT)
     noise = rng.normal(0.0, NOISE_m, (len(q), 3))
-    missed = REFERENCE.tips(dh, q) + noise - REFERENCE.tips(found.dh, q)
+    missed = REFERENCE.tips(dh, q) + noise - REFERENCE.tips(identification.dh, q)
     return float(np.linalg.norm(missed, axis=1).mean() / np.linalg.norm(noise, axis=1).mean())
 
 

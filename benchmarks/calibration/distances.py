@@ -137,14 +137,14 @@ def main() -> None:
         before, after, largest, ranks = [], [], [], []
         for seed in range(ARMS):
             of = recorded(seed, **what)  # type: ignore[arg-type]
-            found = calibrated(of, **plan)  # type: ignore[arg-type]
+            calibration = calibrated(of, **plan)  # type: ignore[arg-type]
             is_placed = "known_m" in plan or "tips" in what
             before.append(over_workspace_m(of.true, RIGHT.dh, is_placed).mean())
-            errors = over_workspace_m(of.true, found.found.dh, is_placed)
+            errors = over_workspace_m(of.true, calibration.found.dh, is_placed)
             after.append(errors.mean())
             largest.append(errors.max())
-            unknown = sum(len(device.parameters) for device in found.devices)
-            ranks.append(found.found.rank - unknown)
+            unknown = sum(len(device.parameters) for device in calibration.devices)
+            ranks.append(calibration.found.rank - unknown)
         sys.stdout.write(
             f"{name:<40}{min(ranks)} to {max(ranks)} of {RIGHT.dh.size}: {1e3 * np.mean(before):6.2f} mm before,"
             f" {1e3 * np.mean(after):.3f} after, largest {1e3 * np.max(largest):.2f}\n"

@@ -86,11 +86,11 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=300)
     parser.add_argument("--sorts", nargs="+", choices=("exact", "rough"), default=("exact", "rough"))
     add_options(parser)
-    given = parser.parse_args()
-    with executor(given.cases, given.workers, given.cluster) as runs:
-        for sort in given.sorts:
-            cases, inside, refused = Cases(sort, given.first_seed, poses_rad()), [], 0
-            for _, found in runs.results(figures_of_case, cases, range(given.cases)):
+    args = parser.parse_args()
+    with executor(args.cases, args.workers, args.cluster) as runs:
+        for sort in args.sorts:
+            cases, inside, refused = Cases(sort, args.first_seed, poses_rad()), [], 0
+            for _, found in runs.results(figures_of_case, cases, range(args.cases)):
                 refused += not found
                 inside += [held(one) for one in found]
             accuracy, repeatability = 100.0 * np.mean(np.array(inside), axis=0)

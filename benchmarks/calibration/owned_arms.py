@@ -229,14 +229,14 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", choices=tuple(PLAYS), default=tuple(PLAYS))
     parser.add_argument("--webcam", action="store_true", help="with rendered pictures, of an SO-101")
     add_options(parser)
-    given = parser.parse_args()
-    sorts = [(name, play_deg) for name in given.arms for play_deg in PLAYS[name]]
+    args = parser.parse_args()
+    sorts = [(name, play_deg) for name in args.arms for play_deg in PLAYS[name]]
     task = afternoon_of
-    if given.webcam:
+    if args.webcam:
         sorts, task = [sort for sort in sorts if sort[0] == "so101"], webcam_afternoon_of
-    with executor(len(sorts) * given.cases, given.workers, given.cluster) as runs:
+    with executor(len(sorts) * args.cases, args.workers, args.cluster) as runs:
         for sort in sorts:
-            found = [made for _, made in runs.results(task, sort, range(given.cases))]
+            found = [made for _, made in runs.results(task, sort, range(args.cases))]
             sys.stdout.writelines(f"{line}\n" for line in lines(found))
             sys.stdout.flush()
 

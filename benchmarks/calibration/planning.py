@@ -181,19 +181,19 @@ def main() -> None:
     parser.add_argument("--sorts", nargs="+", choices=SORTS, default=SORTS)
     parser.add_argument("--area", nargs=3, type=float, default=AREA_m, metavar=("X", "Y", "Z"))
     add_options(parser)
-    given = parser.parse_args()
-    x, y, z = given.area
-    with executor(given.cases, given.workers, given.cluster) as runs:
-        for sort in given.sorts:
-            cases, found = Cases(sort, given.first_seed, (x, y, z)), list[Gain]()
-            for number, of_arm in runs.results(gains_of_case, cases, range(given.cases)):
+    args = parser.parse_args()
+    x, y, z = args.area
+    with executor(args.cases, args.workers, args.cluster) as runs:
+        for sort in args.sorts:
+            cases, found = Cases(sort, args.first_seed, (x, y, z)), list[Gain]()
+            for number, of_arm in runs.results(gains_of_case, cases, range(args.cases)):
                 found += of_arm
                 for one in of_arm:
                     predicted, measured = (
                         f"{1e3 * before:.3f} to {1e3 * after:.3f} mm" for before, after in (one.predicted_m, one.measured_m)
                     )
                     print(
-                        f"{sort} {given.first_seed + number} {one.task}: predicted {predicted}, measured {measured},"
+                        f"{sort} {args.first_seed + number} {one.task}: predicted {predicted}, measured {measured},"
                         f" ratio {one.ratio:.2f}",
                         flush=True,
                     )

@@ -46,10 +46,10 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--objective", nargs="+", default=["e2", "lsq", "huber", "e1"])
-    given = parser.parse_args()
+    args = parser.parse_args()
     missed = 0
-    for name in given.objective:
-        missed += _studied(name, range(given.seed, given.seed + given.cases))
+    for name in args.objective:
+        missed += _studied(name, range(args.seed, args.seed + args.cases))
     return 1 if missed else 0
 
 
@@ -60,11 +60,11 @@ def _studied(name: str, seeds: range) -> int:
     for seed in seeds:
         problem = case(seed)
         begin_s = time.process_time()
-        found = minimise(problem, objective_named(name))
+        minimum = minimise(problem, objective_named(name))
         own_s += time.process_time() - begin_s
-        known = best_known(problem, found.objective, seed)
+        known = best_known(problem, minimum.objective, seed)
         winner = min(known, key=lambda key: known[key])
-        excess.append(found.value / known[winner] - 1.0)
+        excess.append(minimum.value / known[winner] - 1.0)
         if excess[-1] > MISS:
             by[winner] = by.get(winner, 0) + 1
             print(f"  {name}, case {seed}: {excess[-1]:.2e} above {winner}", flush=True)

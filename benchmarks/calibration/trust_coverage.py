@@ -141,19 +141,19 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--sorts", nargs="+", choices=SORTS, default=SORTS)
     add_options(parser)
-    given = parser.parse_args()
+    args = parser.parse_args()
     unseen_q = workspace_poses(ARM, (), TESTED)
-    with executor(given.cases, given.workers, given.cluster) as runs:
-        for sort in given.sorts:
-            cases, shares = Cases(sort, given.first_seed, unseen_q), []
-            for number, (share, error_m, left_m) in runs.results(scored_case, cases, range(given.cases)):
+    with executor(args.cases, args.workers, args.cluster) as runs:
+        for sort in args.sorts:
+            cases, shares = Cases(sort, args.first_seed, unseen_q), []
+            for number, (share, error_m, left_m) in runs.results(scored_case, cases, range(args.cases)):
                 shares.append(share)
                 print(
-                    f"{sort} {given.first_seed + number}: {100 * share:.1f} % inside, error {1e3 * error_m:.3f} mm,"
+                    f"{sort} {args.first_seed + number}: {100 * share:.1f} % inside, error {1e3 * error_m:.3f} mm,"
                     f" left {1e3 * left_m:.3f} mm",
                     flush=True,
                 )
-            print(f"{sort}: {100 * float(np.mean(shares)):.1f} % of true errors inside, {given.cases} arms")
+            print(f"{sort}: {100 * float(np.mean(shares)):.1f} % of true errors inside, {args.cases} arms")
 
 
 # Arms whose parts keep no textbook's law, recorded over the whole of their joints' ranges or the middle half of them.

@@ -38,14 +38,14 @@ def rows() -> list[BenchRow]:
             checks[k] = min(checks[k], perf_counter() - start)
             first, second = one.at(p), other.at(q)
             start = perf_counter()
-            found = least_gap(first, second, pairs, math.inf)
+            gap = least_gap(first, second, pairs, math.inf)
             exact[k] = min(exact[k], perf_counter() - start)
             peer.place(first, second)
             start = perf_counter()
             gap_m = peer.least_gap_m()
             theirs[k] = min(theirs[k], perf_counter() - start)
-            if abs(gap_m - found.gap_m) > SAME_m or (near.gap_m < cell.clearance_m and near != found):
-                raise ValueError(f"{p}, {q}: MuJoCo finds {gap_m:.6f} m, the product {found.gap_m:.6f} m")
+            if abs(gap_m - gap.gap_m) > SAME_m or (near.gap_m < cell.clearance_m and near != gap):
+                raise ValueError(f"{p}, {q}: MuJoCo finds {gap_m:.6f} m, the product {gap.gap_m:.6f} m")
     p99_us = _percentile_us(checks, 99)
     check = f"check of two arms of 3 joints, {len(pairs)} pairs of capsules: 99th percentile over poses"
     gaps = f"the least gap of {len(pairs)} pairs, capsules given: "

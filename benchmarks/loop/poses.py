@@ -27,9 +27,9 @@ def rows() -> list[BenchRow]:
     tip = arm.batch(path_rad)
     peer, name = _peer(path_rad, tip)
     task, targets = task_of(arm, True), Targets(tip.position_m, tip.rotation)
-    found = solve(arm, task, targets, seeds_rad)
-    if np.abs(found.error).max() > ACCURACY or np.abs(found.q_rad - path_rad).max() > 1e-6:
-        raise ValueError(f"six joints: the path is missed by {np.abs(found.error).max():.2g}")
+    solution = solve(arm, task, targets, seeds_rad)
+    if np.abs(solution.error).max() > ACCURACY or np.abs(solution.q_rad - path_rad).max() > 1e-6:
+        raise ValueError(f"six joints: the path is missed by {np.abs(solution.error).max():.2g}")
     one = path_rad.tolist()
     work: dict[str, tuple[Callable[[], object], int]] = {
         "inverse": (lambda: solve(arm, task, targets, seeds_rad), POINTS),

@@ -44,15 +44,15 @@ def main(arguments: list[str] | None = None) -> int:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     options.add_argument("--minutes", type=float, default=60.0)
     options.add_argument("--busy", type=int, default=os.cpu_count() or 1, help="programs beside it")
-    given = options.parse_args(arguments)
-    crowd = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(given.busy)]
+    args = options.parse_args(arguments)
+    crowd = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(args.busy)]
     try:
         with tempfile.TemporaryDirectory(prefix="armwright-soak-") as folder:
             scenario = Path(folder) / "soak.toml"
             scenario.write_text(f'name = "soak"\n{SCENARIO}')
             bench = RealTimeBench("right", scenario, Path(folder) / "log")
             try:
-                moves, pauses, faults = _play(bench, 60.0 * given.minutes)
+                moves, pauses, faults = _play(bench, 60.0 * args.minutes)
                 recording = bench.stop()
             finally:
                 bench.close()

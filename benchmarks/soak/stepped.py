@@ -46,12 +46,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the sessions; 1 if something drifted."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     options.add_argument("--hours", type=float, default=24.0, help="of simulated time")
-    given = options.parse_args(arguments)
+    args = options.parse_args(arguments)
     print(ROW.format("sessions", "hours", "memory MB", "handles", "off mrad", "lost frames", "x real"))
     with stage() as played:
         played.client.enable()
         looks, begun_s, begun = [], played.now_s, time.monotonic()
-        while played.now_s - begun_s < 3600.0 * given.hours:
+        while played.now_s - begun_s < 3600.0 * args.hours:
             _session(played)
             looks.append(_look(played, begun_s))
             played.way.clear()

@@ -60,9 +60,9 @@ def given(relative_to: str) -> argparse.Namespace:
 
 def test_offsets_are_from_the_other_tip_along_the_axes_of_the_cell(serve: Serve) -> None:
     serve("left", STATUS)
-    found = beside(given("left"), RIGHT, Waypoints(((0.0, 0.0, 0.0), (0.0, -0.2, 0.1)), None))
+    plan = beside(given("left"), RIGHT, Waypoints(((0.0, 0.0, 0.0), (0.0, -0.2, 0.1)), None))
     # The left base stands 0.5 m to the left of the right one.
-    assert found.points == (pytest.approx((0.5, 0.6, 0.3)), pytest.approx((0.5, 0.4, 0.4)))
+    assert plan.points == (pytest.approx((0.5, 0.6, 0.3)), pytest.approx((0.5, 0.4, 0.4)))
 
 
 @pytest.mark.parametrize(

@@ -109,9 +109,9 @@ def test_a_runtime_that_hangs_fails_the_stop_but_not_that_of_the_others(
         hung.listen()
         assert main(["stop"]) == 1
     assert asked[0] == "stop"
-    said = capsys.readouterr()
-    assert "right.sock: stopped, HOLDING" in said.out
-    assert "hung.sock does not answer" in said.err
+    printed = capsys.readouterr()
+    assert "right.sock: stopped, HOLDING" in printed.out
+    assert "hung.sock does not answer" in printed.err
 
 
 def test_a_socket_that_a_killed_runtime_left_is_no_runtime(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

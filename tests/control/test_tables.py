@@ -66,9 +66,9 @@ def test_rows_come_with_their_lines_whatever_ends_a_line(name: str, end: str, tm
     text = f'a,b{end}1,"x, y"{end}{end}2,"two{end}lines"{end}3,é'.encode("utf-8-sig")
     path = tmp_path / name
     path.write_bytes(gzip.compress(text) if name.endswith("gz") else text)
-    found = rows_of(path)
-    assert [row for _, row in found if row] == [["a", "b"], ["1", "x, y"], ["2", f"two{end}lines"], ["3", "é"]]
-    assert [line for line, row in found if row] == [1, 2, 5, 6]
+    rows = rows_of(path)
+    assert [row for _, row in rows if row] == [["a", "b"], ["1", "x, y"], ["2", f"two{end}lines"], ["3", "é"]]
+    assert [line for line, row in rows if row] == [1, 2, 5, 6]
 
 
 def test_a_small_packed_file_with_a_line_of_gigabytes_is_refused_in_the_memory_of_a_line(tmp_path: Path) -> None:

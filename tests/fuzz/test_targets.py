@@ -79,9 +79,9 @@ def test_any_bytes_are_taken_or_refused_in_a_sentence(name: str, content: bytes)
 
 
 def test_fewer_frames_are_wrongly_accepted_than_the_length_of_the_crc_allows() -> None:
-    found = wrong_accepts(20_000, seed=2)
-    assert found.random_accepted <= 5  # 0.3 expected
-    assert found.mutants_accepted <= 5
+    accepted = wrong_accepts(20_000, seed=2)
+    assert accepted.random_accepted <= 5  # 0.3 expected
+    assert accepted.mutants_accepted <= 5
 
 
 def test_no_frame_with_one_to_three_wrong_bits_is_accepted() -> None:

@@ -17,12 +17,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.journeys", description=__doc__)
     parser.add_argument("journeys", nargs="*", metavar="JOURNEY", help=f"of {', '.join(JOURNEYS)} (default: all)")
     parser.add_argument("--arms", nargs="*", choices=[*ARMS], default=[*ARMS], metavar="ARM")
-    given = parser.parse_args()
+    args = parser.parse_args()
     stumbled = 0
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # killed, it ends what it has started
     for name, journey in JOURNEYS.items():
         for arm in journey.arms():
-            if arm not in given.arms or (given.journeys and name not in given.journeys):
+            if arm not in args.arms or (args.journeys and name not in args.journeys):
                 continue
             with tempfile.TemporaryDirectory(prefix=f"journey-{arm}-") as folder:
                 try:

@@ -167,10 +167,10 @@ def _hear(says: list[str], said: Path, words: dict[str, str], process: subproces
 def _found(says: list[str], said: Path, words: dict[str, str]) -> bool:
     """Whether all words were said, in order; those that the journey names are taken up."""
     pattern = r".*?".join(_pattern(line, words) for line in says)
-    found = re.search(pattern, said.read_text(encoding="utf-8", errors="replace"), re.DOTALL)
-    if found:
-        words.update(found.groupdict())
-    return found is not None
+    match = re.search(pattern, said.read_text(encoding="utf-8", errors="replace"), re.DOTALL)
+    if match:
+        words.update(match.groupdict())
+    return match is not None
 
 
 def _pattern(line: str, words: dict[str, str]) -> str:

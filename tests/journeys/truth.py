@@ -35,19 +35,19 @@ def main() -> int:
     parser.add_argument("--times", type=float, default=1.0, help="how many times nearer the file must be")
     parser.add_argument("--below", type=float, default=np.inf, help="how far off the file may be, in mm")
     parser.add_argument("--target", type=float, nargs=3, help="what was seen instead of the tip, in the last link's frame, in m")
-    given = parser.parse_args()
-    built = load_arm(given.built)
-    if given.target:
-        built = replace(built, tool=Tool(position_m=tuple(given.target)))
+    args = parser.parse_args()
+    built = load_arm(args.built)
+    if args.target:
+        built = replace(built, tool=Tool(position_m=tuple(args.target)))
     lower, upper = np.array(built.limits_rad).T
     middle, half = (lower + upper) / 2.0, (upper - lower) / 2.0
     q_rad = middle + 0.5 * half * np.random.default_rng(3).uniform(-1.0, 1.0, (300, built.joint_count))
-    true_m = ForwardKinematics(true_arm(built, given.scenario)).tips(q_rad)
+    true_m = ForwardKinematics(true_arm(built, args.scenario)).tips(q_rad)
     off_mm = [
-        1e3 * distance_m(ForwardKinematics(arm).tips(q_rad), true_m, given.any_place) for arm in (built, load_arm(given.file))
+        1e3 * distance_m(ForwardKinematics(arm).tips(q_rad), true_m, args.any_place) for arm in (built, load_arm(args.file))
     ]
-    print(f"{given.built}: {off_mm[0]:.3f} mm; {given.file}: {off_mm[1]:.3f} mm")
-    return int(off_mm[1] > given.below or (off_mm[0] < given.times * off_mm[1] and np.isinf(given.below)))
+    print(f"{args.built}: {off_mm[0]:.3f} mm; {args.file}: {off_mm[1]:.3f} mm")
+    return int(off_mm[1] > args.below or (off_mm[0] < args.times * off_mm[1] and np.isinf(args.below)))
 
 
 def distance_m(tips_m: np.ndarray, true_m: np.ndarray, any_place: bool) -> float:

@@ -170,11 +170,11 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("modules", nargs="*", metavar="MODULE")
     parser.add_argument("--sample", type=int, help="how many changes of the whole product")
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     assert np.__version__  # imported before the forks
-    if given.sample is not None:
-        return _run_sample(given.sample, given.seed)
-    return _run_modules(given.modules or list(TESTS))
+    if args.sample is not None:
+        return _run_sample(args.sample, args.seed)
+    return _run_modules(args.modules or list(TESTS))
 
 
 def _run_sample(count: int, seed: int) -> int:

@@ -69,11 +69,11 @@ def test_two_calibrations_tell_no_due_date_and_one_tells_nothing() -> None:
     assert two.due is None
     assert "cannot be estimated for 0.5 mm yet: that needs at least 3 calibrations" in said(two)
     assert "A line through two points always fits" in said(two)
-    one = trend_of(ARM, drifting()[:1], TOLERANCE_m)
-    assert (one.geometry, one.rates) == (None, ())
-    assert "1 calibration and 0 gaps" in said(one)
-    assert "Drift shows between two calibrations of different days" in said(one)
-    assert "No drift" not in said(one)
+    trend = trend_of(ARM, drifting()[:1], TOLERANCE_m)
+    assert (trend.geometry, trend.rates) == (None, ())
+    assert "1 calibration and 0 gaps" in said(trend)
+    assert "Drift shows between two calibrations of different days" in said(trend)
+    assert "No drift" not in said(trend)
 
 
 def test_a_jump_is_no_steady_drift() -> None:

@@ -30,12 +30,12 @@ def turned(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("rows", [[0, 8, 16], FIVE, list(range(33))])
 def test_an_exact_board_is_found_exactly(rows: list[int]) -> None:
     rotation, origin = turned(np.random.default_rng(1))
-    found = register(BOARD[rows], BOARD[rows] @ rotation.T + origin)
-    np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
-    np.testing.assert_allclose(found.origin_m, origin, atol=1e-12)
-    assert np.linalg.det(found.rotation) == pytest.approx(1.0)
-    assert found.outliers == ()
-    np.testing.assert_allclose(found.to_base(BOARD[rows]) + found.residual_m, BOARD[rows] @ rotation.T + origin)
+    registration = register(BOARD[rows], BOARD[rows] @ rotation.T + origin)
+    np.testing.assert_allclose(registration.rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(registration.origin_m, origin, atol=1e-12)
+    assert np.linalg.det(registration.rotation) == pytest.approx(1.0)
+    assert registration.outliers == ()
+    np.testing.assert_allclose(registration.to_base(BOARD[rows]) + registration.residual_m, BOARD[rows] @ rotation.T + origin)
 
 
 def test_standard_deviations_are_those_of_repeated_registrations() -> None:
@@ -43,14 +43,14 @@ def test_standard_deviations_are_those_of_repeated_registrations() -> None:
     rotation, origin = turned(rng)
     errors, claimed, noises = [], [], []
     for _ in range(200):
-        found = register(BOARD[FIVE], BOARD[FIVE] @ rotation.T + origin + rng.normal(0, 2e-4, (5, 3)))
-        if found.outliers:
+        registration = register(BOARD[FIVE], BOARD[FIVE] @ rotation.T + origin + rng.normal(0, 2e-4, (5, 3)))
+        if registration.outliers:
             continue
-        turn = found.rotation @ rotation.T
+        turn = registration.rotation @ rotation.T
         turns = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        errors.append(np.concatenate((found.origin_m - origin, turns)))
-        claimed.append(found.covariance)
-        noises.append(found.noise_m**2)
+        errors.append(np.concatenate((registration.origin_m - origin, turns)))
+        claimed.append(registration.covariance)
+        noises.append(registration.noise_m**2)
     assert np.mean(noises) == pytest.approx(4e-8, rel=0.1)  # 200 times 9 degrees of freedom: 3.3 %
     spread = np.cov(np.array(errors).T, bias=True)
     np.testing.assert_allclose(np.sqrt(np.diag(spread)), np.sqrt(np.diag(np.mean(claimed, axis=0))), rtol=0.15)
@@ -66,10 +66,10 @@ def test_wrong_markers_are_named_also_when_there_are_several(rows: list[int], wr
         rotation, origin = turned(rng)
         seen = BOARD[rows] @ rotation.T + origin + rng.normal(0, 1.4e-4, (len(rows), 3))
         seen[wrong] += rng.choice([-1, 1], (len(wrong), 3)) * 0.008
-        found = register(BOARD[rows], seen, [NAMES[k] for k in rows])
-        assert found.outliers == tuple(NAMES[rows[k]] for k in wrong), seed
-        np.testing.assert_allclose(found.origin_m, origin, atol=1e-3)
-        assert min(np.linalg.norm(found.residual_m[wrong], axis=1)) > 5e-3
+        registration = register(BOARD[rows], seen, [NAMES[k] for k in rows])
+        assert registration.outliers == tuple(NAMES[rows[k]] for k in wrong), seed
+        np.testing.assert_allclose(registration.origin_m, origin, atol=1e-3)
+        assert min(np.linalg.norm(registration.residual_m[wrong], axis=1)) > 5e-3
 
 
 @pytest.mark.parametrize("rows", [FIVE, list(range(0, 24, 3))])
@@ -90,9 +90,9 @@ def test_with_three_or_four_markers_it_is_said_what_cannot_be_told() -> None:
     rng = np.random.default_rng(5)
     for count, word in ((3, "three"), (4, "four")):
         rows = FIVE[:count]
-        found = register(BOARD[rows], BOARD[rows] + rng.normal(0, 1e-4, (count, 3)))
-        assert found.outliers == ()
-        assert found.notes[0].startswith(word)
+        registration = register(BOARD[rows], BOARD[rows] + rng.normal(0, 1e-4, (count, 3)))
+        assert registration.outliers == ()
+        assert registration.notes[0].startswith(word)
 
 
 @pytest.mark.parametrize(
@@ -169,11 +169,11 @@ def test_unknown_columns_of_markers_are_ignored_with_a_warning(tmp_path: Path) -
 
 def test_boards_written_come_back_and_a_wrong_file_is_named(tmp_path: Path) -> None:
     rotation, origin = turned(np.random.default_rng(8))
-    found = register(BOARD[FIVE], BOARD[FIVE] @ rotation.T + origin, [NAMES[k] for k in FIVE])
+    registration = register(BOARD[FIVE], BOARD[FIVE] @ rotation.T + origin, [NAMES[k] for k in FIVE])
     path = tmp_path / "boards.json"
-    write_boards(path, "right", {"roll": found}, made_today())
+    write_boards(path, "right", {"roll": registration}, made_today())
     back = read_boards(path)["roll"]
-    np.testing.assert_allclose(back.to_base(BOARD), found.to_base(BOARD), atol=1e-11)
+    np.testing.assert_allclose(back.to_base(BOARD), registration.to_base(BOARD), atol=1e-11)
     entry = json.loads(path.read_text())["boards"]["roll"]
     assert set(entry) == {"origin_m", "rotation", "sd", "noise_m", "residual_m", "outliers", "notes"}
     assert list(entry["residual_m"]) == [NAMES[k] for k in FIVE]

@@ -48,19 +48,19 @@ def motion_of(made: Both) -> JointMotion:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_time_is_found_with_an_arm_that_is_not_calibrated_and_a_body_beside_the_tip(seed: int) -> None:
     made = both(seed)
-    found = align(RIGHT, motion_of(made), made.tau_s, BodyTrack(made.place_m))
-    assert abs(found.offset_s - 2.3217) < max(4.0 * found.offset_sd_s, 2e-5)
-    assert found.offset_sd_s < 1e-4
-    assert (found.rate, found.rate_sd) == (0.0, 0.0)
-    assert found.residual_m < 2.0 * NOISE_m
-    assert "begins at 2.32" in found.in_words()
+    alignment = align(RIGHT, motion_of(made), made.tau_s, BodyTrack(made.place_m))
+    assert abs(alignment.offset_s - 2.3217) < max(4.0 * alignment.offset_sd_s, 2e-5)
+    assert alignment.offset_sd_s < 1e-4
+    assert (alignment.rate, alignment.rate_sd) == (0.0, 0.0)
+    assert alignment.residual_m < 2.0 * NOISE_m
+    assert "begins at 2.32" in alignment.in_words()
 
 
 def test_a_long_recording_tells_how_fast_the_clocks_run() -> None:
     made = both(3, span_s=90.0, rate=40e-6)
-    found = align(RIGHT, motion_of(made), made.tau_s, BodyTrack(made.place_m))
-    assert found.rate == pytest.approx(40e-6, abs=max(4.0 * found.rate_sd, 1e-7))
-    assert abs(found.offset_s - 2.3217) < max(4.0 * found.offset_sd_s, 5e-5)
+    alignment = align(RIGHT, motion_of(made), made.tau_s, BodyTrack(made.place_m))
+    assert alignment.rate == pytest.approx(40e-6, abs=max(4.0 * alignment.rate_sd, 1e-7))
+    assert abs(alignment.offset_s - 2.3217) < max(4.0 * alignment.offset_sd_s, 5e-5)
 
 
 def test_a_motion_that_repeats_itself_or_is_another_one_cannot_tell_the_time() -> None:
@@ -82,18 +82,18 @@ def test_rests_become_poses_whose_covariances_are_right_and_hidden_ones_are_said
     place[600:800] = np.nan
     rotation = np.where(np.isnan(place)[:, :, None], np.nan, made.rotation)
     motion, body = motion_of(made), BodyTrack(place, rotation)
-    found = poses_at_rest(motion, made.tau_s, body, align(RIGHT, motion, made.tau_s, body))
-    assert len(found.points) >= 12
-    assert any("the body is hidden in" in said for said in found.left_out)
-    assert found.noise_m == pytest.approx(NOISE_m, rel=0.05)
-    assert found.noise_rad == pytest.approx(NOISE_rad, rel=0.05)
-    sd = np.sqrt(found.points.covariance[:, 0])
+    rests = poses_at_rest(motion, made.tau_s, body, align(RIGHT, motion, made.tau_s, body))
+    assert len(rests.points) >= 12
+    assert any("the body is hidden in" in said for said in rests.left_out)
+    assert rests.noise_m == pytest.approx(NOISE_m, rel=0.05)
+    assert rests.noise_rad == pytest.approx(NOISE_rad, rel=0.05)
+    sd = np.sqrt(rests.points.covariance[:, 0])
     assert np.all((sd > 0.5 * NOISE_m / np.sqrt(70)) & (sd < 2.0 * NOISE_m / np.sqrt(20)))
-    assert set(np.unique(found.points.direction)) <= {-1.0, 0.0, 1.0}
-    choice = Choice().for_points(RIGHT, found.points)
+    assert set(np.unique(rests.points.direction)) <= {-1.0, 0.0, 1.0}
+    choice = Choice().for_points(RIGHT, rests.points)
     assert choice.freed == ("camera",)
     arm = dataclasses.replace(RIGHT, tool=dataclasses.replace(RIGHT.tool, known=False))
-    made_of = identify(problem_of(arm, found.points, choice), starts_count=1)
+    made_of = identify(problem_of(arm, rests.points, choice), starts_count=1)
     assert made_of.mean_after_m < 3e-4 < made_of.mean_before_m
     assert made_of.weighted is not None
     assert 0.5 < made_of.weighted < 1.6
@@ -308,10 +308,10 @@ def test_the_command_writes_points_of_the_stream_and_says_what_it_cannot_use(
     (tmp_path / "x.c3d").write_bytes(c3d_bytes(made.markers_m))
     given = ["import-capture", str(tmp_path / "v.csv"), "--log", str(log), "--out", str(tmp_path / "out")]
     assert main([*given, "--body", "tool", "--base-body", "base", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["offset_s"] == pytest.approx(2.3217, abs=1e-4)
+    content = json.loads(capsys.readouterr().out)
+    assert content["offset_s"] == pytest.approx(2.3217, abs=1e-4)
     points, _ = read_points(tmp_path / "out" / "points.csv", 3)
-    assert (len(points), points.in_camera_frame) == (said["poses"], True)
+    assert (len(points), points.in_camera_frame) == (content["poses"], True)
     assert np.isfinite(points.covariance).all()
     assert main([*given, "--body", "tool"]) == 2
     assert "never overwritten" in capsys.readouterr().err
@@ -339,9 +339,9 @@ def test_the_command_writes_the_log_with_tips_once_the_frame_is_placed(
     (tmp_path / "v.csv").write_text(vicon_csv(made))
     given = ["import-capture", str(tmp_path / "v.csv"), "--log", str(log), "--body", "tool", "--json"]
     assert main([*given, "--out", str(tmp_path / "a")]) == 0  # an arm without a stream
-    said = json.loads(capsys.readouterr().out)
-    assert said["log"] is None
-    assert "no time stamps of the encoder boards" in said["said"][0]
+    content = json.loads(capsys.readouterr().out)
+    assert content["log"] is None
+    assert "no time stamps of the encoder boards" in content["said"][0]
     assert main([*given, "--arm", str(tmp_path / "arm.toml"), "--out", str(tmp_path / "b")]) == 0
     (run,) = read_log(Path(json.loads(capsys.readouterr().out)["log"]), 3)[0].runs
     seen = np.isfinite(run.tip_m[:, 0])

@@ -58,9 +58,9 @@ def moved(shift_m: Array, at: ExpectedTips | None = None) -> ExpectedTips:
 
 
 def test_an_arm_as_it_was_is_fine() -> None:
-    found = decide(quiet())
-    assert (found.action, found.is_sure) == ("fine", True)
-    assert found.left_m == pytest.approx(found.expected_m, rel=0.3)
+    decision = decide(quiet())
+    assert (decision.action, decision.is_sure) == ("fine", True)
+    assert decision.left_m == pytest.approx(decision.expected_m, rel=0.3)
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
@@ -95,9 +95,9 @@ def test_a_bent_link_and_a_moved_base_are_named() -> None:
 
 def test_what_no_single_cause_explains_is_recalibrated_and_says_so() -> None:
     at = quiet()
-    found = decide(moved(at.turned_m(0, 4e-3) + at.turned_m(2, -5e-3) - 2e-3 * at.flank[:, 1, None] * at.by_joint[:, :, 1]))
-    assert found.action == "recalibrate"
-    assert "no single cause explains it" in " ".join(sentences(found))
+    decision = decide(moved(at.turned_m(0, 4e-3) + at.turned_m(2, -5e-3) - 2e-3 * at.flank[:, 1, None] * at.by_joint[:, :, 1]))
+    assert decision.action == "recalibrate"
+    assert "no single cause explains it" in " ".join(sentences(decision))
 
 
 def test_a_cause_that_explains_most_is_named_although_something_smaller_is_left() -> None:
@@ -188,6 +188,6 @@ def test_a_plan_needs_no_folder_and_a_check_up_asks_for_one(
 def test_tips_that_are_all_somewhat_farther_off_than_expected_are_no_change(seed: int) -> None:
     at = quiet()
     left = np.random.default_rng(seed).normal(0.0, 1.4 * NOISE_m, at.left_m.shape)
-    found = decide(dataclasses.replace(at, left_m=left))
-    assert (found.action, found.is_sure) == ("fine", True)
-    assert found.causes[0].cause.kind == "nothing"
+    decision = decide(dataclasses.replace(at, left_m=left))
+    assert (decision.action, decision.is_sure) == ("fine", True)
+    assert decision.causes[0].cause.kind == "nothing"

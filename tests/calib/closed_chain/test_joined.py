@@ -76,10 +76,10 @@ def test_the_constant_orientation_determines_more_and_contacts_left_out_close() 
         known = determinability(problem.sensitivity(np.zeros(len(problem.parameters))), problem.parameters)
         ranks.append(known.rank - 3 * bool(joined))  # the join's own turn
     assert ranks[1] > ranks[0]
-    found = calibrate_pair(ARMS, contacts, PairPlan(objective=LeastSquares()))
-    assert found.held_after_m.mean() < 4 * NOISE_m
-    assert found.held_before_m.mean() > 1e-3
-    assert np.abs(found.angles_rad).max() < 2e-3
+    pair = calibrate_pair(ARMS, contacts, PairPlan(objective=LeastSquares()))
+    assert pair.held_after_m.mean() < 4 * NOISE_m
+    assert pair.held_before_m.mean() > 1e-3
+    assert np.abs(pair.angles_rad).max() < 2e-3
 
 
 def test_joined_tools_are_in_one_place(tmp_path) -> None:  # type: ignore[no-untyped-def]

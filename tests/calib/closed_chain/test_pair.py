@@ -73,20 +73,20 @@ def test_derivatives_are_exact() -> None:
 
 def test_both_arms_are_found_and_contacts_left_out_close() -> None:
     true, contacts = session(3, 45, (0.0, 0.08))
-    found = calibrate_pair(ARMS, contacts, PLAN)
-    assert found.held_before_m.mean() > 1.5e-3
-    assert found.held_after_m.mean() < 2.5 * NOISE_m
+    pair = calibrate_pair(ARMS, contacts, PLAN)
+    assert pair.held_before_m.mean() > 1.5e-3
+    assert pair.held_after_m.mean() < 2.5 * NOISE_m
     values = np.concatenate([dh.ravel() for dh in true])
     scores = [
         (one.value - value) / one.sd
-        for one, value in zip(found.estimates, values, strict=False)
+        for one, value in zip(pair.estimates, values, strict=False)
         if one.is_determined and not np.isnan(one.sd)
     ]
     assert len(scores) > 8
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.8
     rng = np.random.default_rng(4)
     q = rng.uniform(-1.0, 1.0, (100, 3))
-    for k, arm in enumerate(found.arms):  # shape of each workspace, from contacts in a part of it
+    for k, arm in enumerate(pair.arms):  # shape of each workspace, from contacts in a part of it
         ours, theirs = ForwardKinematics(arm).tips(q), ArmModel(ARMS[k]).tips(true[k], q)
         off = np.linalg.norm(ours[1:] - ours[:-1], axis=1) - np.linalg.norm(theirs[1:] - theirs[:-1], axis=1)
         assert np.sqrt(np.mean(off**2)) < 1e-3
@@ -103,9 +103,9 @@ def test_a_known_distance_determines_the_scale_and_contacts_in_one_place_do_not(
 
 def test_distances_alone_are_enough_to_find_where_the_second_arm_stands() -> None:
     _, contacts = session(6, 30, (0.3,))
-    found = calibrate_pair(ARMS, contacts, PLAN)
-    assert np.linalg.norm(found.base.origin_m - BASE.origin_m) < 0.02
-    assert found.after_m.mean() < 2 * NOISE_m
+    pair = calibrate_pair(ARMS, contacts, PLAN)
+    assert np.linalg.norm(pair.base.origin_m - BASE.origin_m) < 0.02
+    assert pair.after_m.mean() < 2 * NOISE_m
 
 
 def test_chosen_contacts_say_more_than_others() -> None:
@@ -152,11 +152,11 @@ def test_the_command_writes_both_arms_and_says_what_stays_open(tmp_path: Path, c
     assert "On contacts not used" in said
     assert "leave the scale of both arms open" in said
     assert "origin_m = [" in said
-    found = json.loads((tmp_path / "out" / "pair.json").read_text())
-    assert np.linalg.norm(np.array(found["second_base"]["origin_m"]) - BASE.origin_m) < 0.02
+    content = json.loads((tmp_path / "out" / "pair.json").read_text())
+    assert np.linalg.norm(np.array(content["second_base"]["origin_m"]) - BASE.origin_m) < 0.02
     made = load_arm(str(tmp_path / "out" / "left.toml"))
     assert made.calibration is not None
-    assert made.dh.ravel()[6] == pytest.approx(found["parameters"]["left_L2"]["value"])
+    assert made.dh.ravel()[6] == pytest.approx(content["parameters"]["left_L2"]["value"])
     assert main([*run, "--out", str(tmp_path / "out")]) == 2
     assert "never overwritten" in capsys.readouterr().err
     assert main([*run, "--choose", "4"]) == 0

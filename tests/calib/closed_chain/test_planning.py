@@ -75,9 +75,9 @@ def test_arms_of_other_kinds_meet_too_and_where_none_can_it_is_said() -> None:
     """Four joints, and six by modified DH with a wrist whose axes meet: its links there touch all the time."""
     arms = (Placed(FOUR, (0.0, 0.3, 0.0)), Placed(SIX, (0.0, -0.3, 0.0)))
     mixed = Cell("mixed", arms, clearance_m=0.01, tool_length_m=0.1)
-    found = contact_candidates(mixed, ("four", "six"), (0.0,), drawn=60)
-    assert len(found.contacts) >= 5
-    assert found.contacts.second_rad.shape[1] == 6
+    contacts = contact_candidates(mixed, ("four", "six"), (0.0,), drawn=60)
+    assert len(contacts.contacts) >= 5
+    assert contacts.contacts.second_rad.shape[1] == 6
     untouchable = dataclasses.replace(mixed, clearance_m=0.2)
     with pytest.raises(CalibrationError, match=r"there are only 0 places.*tool_length_m of an arm, 0.1 m here"):
         plan_contacts(untouchable, ("four", "six"), (0.0,), 3, drawn=20)

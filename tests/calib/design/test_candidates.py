@@ -38,21 +38,21 @@ LOWER, UPPER = np.array(ARM.limits_rad).T
 
 @pytest.mark.parametrize("setup", SETUPS)
 def test_every_cavity_is_a_candidate_with_the_tip_in_it(setup):
-    found = table_candidates(ARM, BOARDS[setup], None, sees_tip=False)
+    candidates = table_candidates(ARM, BOARDS[setup], None, sees_tip=False)
     places = dict(zip(map(str, range(1, 34)), board_points(*ANGLES[setup]), strict=True))
-    assert set(found.point) == set(places)
-    tips = REFERENCE.tips(REFERENCE_DH, found.q_rad)
-    np.testing.assert_allclose(tips, [places[name] for name in found.point], atol=1e-7)
-    assert ((found.q_rad > LOWER) & (found.q_rad < UPPER)).all()
-    assert np.isnan(found.tip_m).all()
+    assert set(candidates.point) == set(places)
+    tips = REFERENCE.tips(REFERENCE_DH, candidates.q_rad)
+    np.testing.assert_allclose(tips, [places[name] for name in candidates.point], atol=1e-7)
+    assert ((candidates.q_rad > LOWER) & (candidates.q_rad < UPPER)).all()
+    assert np.isnan(candidates.tip_m).all()
 
 
 def test_free_poses_are_within_limits_above_the_floor_and_away_from_the_board():
-    found = free_candidates(ARM, BOARDS.values())
-    tips = REFERENCE.tips(REFERENCE_DH, found.q_rad)
-    np.testing.assert_allclose(found.tip_m, tips, atol=1e-9)
-    assert len(found) > 500
-    assert ((found.q_rad > LOWER) & (found.q_rad < UPPER)).all()
+    candidates = free_candidates(ARM, BOARDS.values())
+    tips = REFERENCE.tips(REFERENCE_DH, candidates.q_rad)
+    np.testing.assert_allclose(candidates.tip_m, tips, atol=1e-9)
+    assert len(candidates) > 500
+    assert ((candidates.q_rad > LOWER) & (candidates.q_rad < UPPER)).all()
     assert (tips[:, 2] >= FREE_HEIGHT_M - 1e-9).all()
     for setup in SETUPS:
         local = (tips - BOARDS[setup].origin_m) @ BOARDS[setup].rotation

@@ -11,13 +11,13 @@ SINGULAR = st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=12)
 
 
 def test_indices_of_three_singular_values_are_those_worked_out_by_hand():
-    found = indices_of(np.array([8.0, 4.0, 2.0]), poses_count=16)
-    assert found.o1 == pytest.approx(4.0 / 4.0)  # cube root of 64 over the root of 16
-    assert found.o2 == pytest.approx(0.25)
-    assert found.o3 == pytest.approx(2.0)
-    assert found.o4 == pytest.approx(0.5)
-    assert found.o5 == pytest.approx(1.0 / (1 / 8 + 1 / 4 + 1 / 2))
-    assert tuple(found.as_dict()) == NAMES
+    indices = indices_of(np.array([8.0, 4.0, 2.0]), poses_count=16)
+    assert indices.o1 == pytest.approx(4.0 / 4.0)  # cube root of 64 over the root of 16
+    assert indices.o2 == pytest.approx(0.25)
+    assert indices.o3 == pytest.approx(2.0)
+    assert indices.o4 == pytest.approx(0.5)
+    assert indices.o5 == pytest.approx(1.0 / (1 / 8 + 1 / 4 + 1 / 2))
+    assert tuple(indices.as_dict()) == NAMES
 
 
 @given(SINGULAR, st.floats(0.1, 10.0))

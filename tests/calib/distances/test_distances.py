@@ -62,25 +62,25 @@ def test_derivatives_by_the_arm_and_by_every_kind_of_device_are_exact() -> None:
 
 def test_one_wire_makes_the_arm_right_but_for_where_it_stands() -> None:
     of = recorded(0, "A")
-    found = calibrated(of)
+    calibration = calibrated(of)
     assert over_workspace_m(of.true, RIGHT.dh).mean() > 5e-3
-    assert over_workspace_m(of.true, found.found.dh).mean() < 0.1e-3
-    assert found.found.rank - 3 == 8
-    assert np.abs(found.before_m).mean() > 3e-3
-    assert np.abs(found.held_m).mean() < 1.5 * SD_m
-    assert found.found.noise_m == pytest.approx(SD_m, rel=0.35)
-    said = distances_text(found)
-    assert "d1 and theta1 cannot be told apart from the place of wire A" in said
-    assert "wire:A: fixed point [m] in the base frame: [" in said
+    assert over_workspace_m(of.true, calibration.found.dh).mean() < 0.1e-3
+    assert calibration.found.rank - 3 == 8
+    assert np.abs(calibration.before_m).mean() > 3e-3
+    assert np.abs(calibration.held_m).mean() < 1.5 * SD_m
+    assert calibration.found.noise_m == pytest.approx(SD_m, rel=0.35)
+    text = distances_text(calibration)
+    assert "d1 and theta1 cannot be told apart from the place of wire A" in text
+    assert "wire:A: fixed point [m] in the base frame: [" in text
 
 
 def test_wires_at_known_points_say_all_that_measured_tips_say() -> None:
     of = recorded(3, "AB", each=20)
     known = {name: ANCHORS_m[name] for name in "AB"}
-    found = calibrated(of, known_m=known)
-    assert found.found.rank == 10
-    assert over_workspace_m(of.true, found.found.dh, is_placed=True).mean() < 0.2e-3
-    assert all(len(device.parameters) == 0 for device in found.devices)
+    calibration = calibrated(of, known_m=known)
+    assert calibration.found.rank == 10
+    assert over_workspace_m(of.true, calibration.found.dh, is_placed=True).mean() < 0.2e-3
+    assert all(len(device.parameters) == 0 for device in calibration.devices)
     with pytest.raises(UnusablePointsError, match='no wire "C" in the readings: expected one of A, B'):
         calibrated(of, known_m={"C": (0.0, 0.0, 0.0)})
 
@@ -88,22 +88,22 @@ def test_wires_at_known_points_say_all_that_measured_tips_say() -> None:
 def test_gauge_zero_and_pairs_are_found_together_and_a_wrong_reading_does_little() -> None:
     of = recorded(4, "A", each=20, gauge=16, pairs=6, zero_m=WIRE_ZERO_m)
     wrong = with_column(of.points, "distance_m", 3, f"{float(of.points.extra['distance_m'][3]) + 0.05:.6f}")
-    found = calibrated(dataclasses.replace(of, points=wrong), free_zero=True)
-    assert over_workspace_m(of.true, found.found.dh).mean() < 0.15e-3
-    wire, gauge = found.zero_m[0], found.places[1]
+    calibration = calibrated(dataclasses.replace(of, points=wrong), free_zero=True)
+    assert over_workspace_m(of.true, calibration.found.dh).mean() < 0.15e-3
+    wire, gauge = calibration.zero_m[0], calibration.places[1]
     assert wire == pytest.approx(WIRE_ZERO_m, abs=1.5e-3)
     assert np.degrees(np.arccos(gauge @ DIRECTION)) < 2.0  # the base's own turn is not known better
-    assert found.zero_m[1] == pytest.approx(GAUGE_ZERO_m, abs=5e-3)
-    assert np.argmax(np.abs(found.after_m)) == 3
+    assert calibration.zero_m[1] == pytest.approx(GAUGE_ZERO_m, abs=5e-3)
+    assert np.argmax(np.abs(calibration.after_m)) == 3
 
 
 def test_lengths_and_tips_are_one_identification() -> None:
     of = recorded(5, "A", each=30, tips=8)
-    found = calibrated(of)
-    assert found.tips == 8
-    assert found.found.rank - 3 == 10  # the tips tie the wire to the base
-    np.testing.assert_allclose(found.places[0], ANCHORS_m["A"], atol=1e-3)
-    assert over_workspace_m(of.true, found.found.dh, is_placed=True).mean() < 0.2e-3
+    calibration = calibrated(of)
+    assert calibration.tips == 8
+    assert calibration.found.rank - 3 == 10  # the tips tie the wire to the base
+    np.testing.assert_allclose(calibration.places[0], ANCHORS_m["A"], atol=1e-3)
+    assert over_workspace_m(of.true, calibration.found.dh, is_placed=True).mean() < 0.2e-3
 
 
 def broken(change: str) -> Points:
@@ -164,14 +164,14 @@ def test_lengths_verify_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str
     given = ["verify", "--arm", str(tmp_path / "arm.toml"), "--against", "right", "--json"]
     new = ["--points", str(tmp_path / "new.csv"), "--free-zero"]
     assert main([*given, *new, "--out", str(tmp_path / "v")]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert {name: one["after"]["count"] for name, one in said["by_setup"].items()} == {
+    content = json.loads(capsys.readouterr().out)
+    assert {name: one["after"]["count"] for name, one in content["by_setup"].items()} == {
         "wire:B": 12,
         "gauge:G": 8,
         "between": 6,
         "all": 26,
     }
-    for one in said["by_setup"].values():
+    for one in content["by_setup"].values():
         assert one["after"]["mean_m"] < 3.0 * SD_m < 1e-3 < one["before"]["mean_m"]
     for more, text in (
         ([*new, "--wire-at", "C=0,0,1"], 'no wire "C" in the readings: expected one of B'),
@@ -185,12 +185,12 @@ def test_lengths_verify_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_a_reading_does_not_verify_the_place_of_its_own_device() -> None:
     of = recorded(3, "A", each=7)
     arm = dataclasses.replace(RIGHT.with_dh(of.true.dh))
-    found = compare_lengths(RIGHT, arm, of.points, FILE, Wires())
+    comparison = compare_lengths(RIGHT, arm, of.points, FILE, Wires())
     names, lengths = list(of.points.extra["distance_m"]), []
     for row in (0, 3):
         points = with_column(of.points, "distance_m", row, f"{float(names[row]) + 0.001:.9f}")
         moved = compare_lengths(RIGHT, arm, points, FILE, Wires())
-        lengths.append(np.linalg.norm(moved.after_m[row] - found.after_m[row]))
+        lengths.append(np.linalg.norm(moved.after_m[row] - comparison.after_m[row]))
     assert np.allclose(lengths, 1e-3, atol=1e-4)  # none of it went into the wire's place
     with pytest.raises(UnusablePointsError, match='"wire:A": 4 readings, 5 are needed'):
         compare_lengths(RIGHT, arm, of.points.chosen(range(4)), FILE, Wires())

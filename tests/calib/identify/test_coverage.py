@@ -56,9 +56,9 @@ def test_without_residuals_or_without_freedom_there_is_no_noise_to_tell() -> Non
 
 @pytest.mark.parametrize("what", [Session("known", 99, "e2"), Session("known", 33, "lsq", 1.0)], ids=["E2", "bounds bind"])
 def test_intervals_cover_the_truth_as_often_as_they_say(what) -> None:
-    found = studied(what, 30, seed=3)
-    scores = sum(tally.count for tally in found.values())
-    covered = sum(tally.by_interval for tally in found.values()) / scores
+    study = studied(what, 30, seed=3)
+    scores = sum(tally.count for tally in study.values())
+    covered = sum(tally.by_interval for tally in study.values()) / scores
     # 9 or 10 correlated scores of 30 sessions: 95 % +- 2.5 %, twice that allowed.
     assert scores >= 270
     assert 0.90 < covered < 0.995

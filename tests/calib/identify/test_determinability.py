@@ -60,12 +60,12 @@ def test_the_condition_number_does_not_depend_on_how_unknown_boards_are_scaled()
 
 def test_what_unknown_boards_make_up_for_stays_at_nominal_and_is_told_in_one_sentence() -> None:
     problem = problem_of(UNPLACED, session(5, is_measured=False))
-    found = identify(problem, starts_count=1)
-    deviation = {e.parameter.name: e.deviation for e in found.estimates}
+    identification = identify(problem, starts_count=1)
+    deviation = {e.parameter.name: e.deviation for e in identification.estimates}
     assert max(abs(deviation[name]) for name in ("d1", "theta1")) < 1e-6
-    said = [sentence for sentence in found.in_words() if "the poses of the boards" in sentence]
+    said = [sentence for sentence in identification.in_words() if "the poses of the boards" in sentence]
     assert any(sentence.startswith("d1") and "cannot be told apart from" in sentence for sentence in said)
-    assert len(found.in_words()) <= 7
+    assert len(identification.in_words()) <= 7
 
 
 def test_the_combinations_that_stay_at_nominal_are_those_that_no_tip_sees() -> None:

@@ -36,11 +36,11 @@ def test_without_noise_every_prediction_is_exact(name, objective) -> None:
     model, dh = ARMS[name]
     rng = np.random.default_rng(3)
     true, q, tips = workspace(rng, model, dh, 60, 0.0)
-    found = identified(model, dh, q, tips, objective=objective)
+    identification = identified(model, dh, q, tips, objective=objective)
     fresh = rng.uniform(-2.0, 2.0, (200, q.shape[1]))
     # Parameters that trade against each other are not the true ones; the tips that they predict are, everywhere.
-    assert norms(model.tips(found.dh, fresh) - model.tips(true, fresh)).max() < 1e-6
-    assert found.is_converged
+    assert norms(model.tips(identification.dh, fresh) - model.tips(true, fresh)).max() < 1e-6
+    assert identification.is_converged
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -49,11 +49,11 @@ def test_with_camera_noise_predictions_hold_over_the_workspace(name, seed) -> No
     model, dh = ARMS[name]
     rng = np.random.default_rng(seed)
     true, q, tips = workspace(rng, model, dh, 120, 0.00014)
-    found = identified(model, dh, q, tips)
+    identification = identified(model, dh, q, tips)
     fresh = rng.uniform(-1.2, 1.2, (300, q.shape[1]))
     # 10 to 20 parameters from 360 coordinates: about 0.14 mm * sqrt(20 / 360) = 0.03 mm per axis is left.
-    assert norms(model.tips(found.dh, fresh) - model.tips(true, fresh)).mean() < 0.00012
-    assert found.noise_m == pytest.approx(0.00014, rel=0.15)
+    assert norms(model.tips(identification.dh, fresh) - model.tips(true, fresh)).mean() < 0.00012
+    assert identification.noise_m == pytest.approx(0.00014, rel=0.15)
 
 
 def test_a_level_board_determines_nine_of_sixteen_parameters_and_three_tilts_ten() -> None:
@@ -71,20 +71,20 @@ def test_a_level_board_determines_nine_of_sixteen_parameters_and_three_tilts_ten
 
 def test_what_cannot_be_determined_stays_at_nominal_and_is_named() -> None:
     _, q, tips, _ = board_session(np.random.default_rng(2))
-    found = identified(REFERENCE, REFERENCE_DH, q, tips)
-    deviation = dict(zip((e.parameter.name for e in found.estimates), found.deviations.ravel(), strict=True))
+    identification = identified(REFERENCE, REFERENCE_DH, q, tips)
+    deviation = dict(zip((e.parameter.name for e in identification.estimates), identification.deviations.ravel(), strict=True))
     assert deviation["alpha4"] == 0.0
     assert abs(deviation["theta4"]) < 1e-4
     assert deviation["d2"] == pytest.approx(deviation["d3"], abs=2e-5)
     assert deviation["L3"] == pytest.approx(deviation["L4"], abs=2e-5)
-    groups = {frozenset(group.names): group.freedoms_count for group in found.undetermined}
+    groups = {frozenset(group.names): group.freedoms_count for group in identification.undetermined}
     assert groups == {
         frozenset({"d2", "d3", "alpha3"}): 2,
         frozenset({"theta3", "L3", "L4"}): 2,
         frozenset({"theta4"}): 1,
         frozenset({"alpha4"}): 1,
     }
-    said = " ".join(found.in_words())
+    said = " ".join(identification.in_words())
     assert "determine 10 of 16" in said
     assert "d2, d3 and alpha3 move together" in said
     assert "theta4 and alpha4 have no effect" in said
@@ -104,10 +104,10 @@ def test_bounds_that_bind_are_named_and_kept() -> None:
     true[1, 2] += 0.008  # L2 is 8 mm longer: 3 mm more than the bound
     q = rng.uniform(-1.0, 1.0, (80, 3))
     tips = REFERENCE.tips(true, q) + rng.normal(0, 0.00014, (80, 3))
-    found = identified(REFERENCE, REFERENCE_DH, q, tips)
-    assert "L2" in found.binding
-    assert found.deviations[1, 2] == pytest.approx(0.005, abs=1e-9)
-    assert "At the bound: " in " ".join(found.in_words())
+    identification = identified(REFERENCE, REFERENCE_DH, q, tips)
+    assert "L2" in identification.binding
+    assert identification.deviations[1, 2] == pytest.approx(0.005, abs=1e-9)
+    assert "At the bound: " in " ".join(identification.in_words())
     freer = identified(REFERENCE, REFERENCE_DH, q, tips, bounds=Bounds(own={"L2": 0.02}))
     assert freer.binding == ()
     assert freer.deviations[1, 2] == pytest.approx(0.008, abs=1e-4)
@@ -115,9 +115,9 @@ def test_bounds_that_bind_are_named_and_kept() -> None:
 
 def test_a_fixed_parameter_keeps_its_value() -> None:
     _, q, tips, _ = board_session(np.random.default_rng(4))
-    found = identified(REFERENCE, REFERENCE_DH, q, tips, fixed=["d1", "theta4"])
-    assert found.dh[0, 0] == REFERENCE_DH[0, 0]
-    assert len(found.estimates) == 14
+    identification = identified(REFERENCE, REFERENCE_DH, q, tips, fixed=["d1", "theta4"])
+    assert identification.dh[0, 0] == REFERENCE_DH[0, 0]
+    assert len(identification.estimates) == 14
 
 
 def test_same_inputs_same_result_and_starts_do_not_matter() -> None:

@@ -90,13 +90,13 @@ def test_a_hidden_effect_comes_back_with_its_parameters(name: str) -> None:
     points = measured(name, parameters, seed=3)
     wanted = corrections(ARM, points, [name])
     before = identify(problem_of(ARM, points), objective=LeastSquares(), starts_count=1)
-    found = identify(problem_of(ARM, points, Choice(corrections=wanted)), objective=LeastSquares(), starts_count=1)
-    (effect,) = effects_of(found.solution.corrections)
+    identification = identify(problem_of(ARM, points, Choice(corrections=wanted)), objective=LeastSquares(), starts_count=1)
+    (effect,) = effects_of(identification.solution.corrections)
     assert effect.effect == name.partition(":")[0]
     for key, value in parameters.items():
         assert effect.parameters[key] == pytest.approx(value, abs=tolerance)
-    assert before.noise_m > 1.3 * found.noise_m
-    assert found.noise_m < 1.15 * 1.4e-4  # nothing but the camera's noise is left
+    assert before.noise_m > 1.3 * identification.noise_m
+    assert identification.noise_m < 1.15 * 1.4e-4  # nothing but the camera's noise is left
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -47,9 +47,9 @@ def test_a_wrong_point_that_the_fit_leans_on_is_found() -> None:
     noise, columns = linear(rng, 40, 6)
     columns[7] *= 4.0  # leverage near a half
     noise[7] += 0.02
-    found = outlier_test(LinearFit.of(noise, columns))
-    assert np.flatnonzero(~found.agrees).tolist() == [7]
-    assert np.linalg.norm(found.deleted_m[7]) == pytest.approx(0.02 * np.sqrt(3), rel=0.3)
+    test = outlier_test(LinearFit.of(noise, columns))
+    assert np.flatnonzero(~test.agrees).tolist() == [7]
+    assert np.linalg.norm(test.deleted_m[7]) == pytest.approx(0.02 * np.sqrt(3), rel=0.3)
 
 
 def test_a_point_that_nothing_else_tells_about_is_not_accused() -> None:
@@ -90,9 +90,9 @@ def test_a_tip_that_did_not_quite_sit_is_found(size_m) -> None:
     tips = np.array(points.tip_m)
     tips[[20, 70]] += size_m * np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
     problem, x = solved(with_rows(points, tip_m=tips))
-    found = find_outliers(problem, x)
-    assert rows_of(found) == {20, 70}
-    assert all(one.score > 5 and abs(one.distance_m - size_m) < 5 * NOISE_m for one in found)
+    outliers = find_outliers(problem, x)
+    assert rows_of(outliers) == {20, 70}
+    assert all(one.score > 5 and abs(one.distance_m - size_m) < 5 * NOISE_m for one in outliers)
 
 
 def test_a_board_that_stood_elsewhere_is_told_as_a_setup_and_its_points_are_not_accused() -> None:
@@ -102,20 +102,20 @@ def test_a_board_that_stood_elsewhere_is_told_as_a_setup_and_its_points_are_not_
     tips[33:66] += [0.0012, -0.0005, 0.0008]
     tips[5, 2] += 0.02
     problem, x = solved(with_rows(points, tip_m=tips))
-    found = find_suspects(problem, x)
-    assert [one.setup for one in found.setups] == ["roll"]
+    suspects = find_suspects(problem, x)
+    assert [one.setup for one in suspects.setups] == ["roll"]
     # Shift and turn of one board trade in part against the arm's own parameters.
-    assert found.setups[0].shift_m == pytest.approx([-0.0012, 0.0005, -0.0008], abs=0.0004)
-    assert rows_of(found.outliers) == {5}
-    assert found.in_words()[0].startswith('setup "roll" does not fit the others')
+    assert suspects.setups[0].shift_m == pytest.approx([-0.0012, 0.0005, -0.0008], abs=0.0004)
+    assert rows_of(suspects.outliers) == {5}
+    assert suspects.in_words()[0].startswith('setup "roll" does not fit the others')
 
 
 def test_a_clean_session_has_no_suspects() -> None:
     rng = np.random.default_rng(8)
     problem, x = solved(board_points(rng, true_dh(rng)), is_smooth=True)
-    found = find_suspects(problem, x)
-    assert found.in_words() == ()
-    assert not found.is_systematic
+    suspects = find_suspects(problem, x)
+    assert suspects.in_words() == ()
+    assert not suspects.is_systematic
 
 
 def test_an_encoder_that_slipped_and_stayed_so_is_told_once() -> None:
@@ -124,13 +124,13 @@ def test_an_encoder_that_slipped_and_stayed_so_is_told_once() -> None:
     q = np.array(points.q_rad)
     q[86:, 1] += np.radians(0.8)
     problem, x = solved(with_rows(points, q_rad=q))
-    found = find_suspects(problem, x)
-    told = [words for words in found.in_words() if "encoder of joint 2" in words]
+    suspects = find_suspects(problem, x)
+    told = [words for words in suspects.in_words() if "encoder of joint 2" in words]
     assert len(told) == 1
     assert "between poses 87 and 99" in told[0]
-    assert found.slip is not None
-    assert np.degrees(found.slip.angle_rad) == pytest.approx(-0.8, abs=0.02)
-    assert not found.is_systematic
+    assert suspects.slip is not None
+    assert np.degrees(suspects.slip.angle_rad) == pytest.approx(-0.8, abs=0.02)
+    assert not suspects.is_systematic
 
 
 def test_without_noise_nothing_is_named() -> None:
@@ -159,10 +159,10 @@ def test_points_that_an_effect_has_in_common_are_told_as_such_and_no_encoder_is_
     loaded = rng.random(99) < 0.35  # a payload here and there bends joint 2
     q[loaded, 1] += 0.006 + 0.002 * rng.random(int(loaded.sum()))
     problem, x = solved(with_rows(points, q_rad=q))
-    found = find_suspects(problem, x)
-    assert found.is_systematic
-    assert found.slip is None
-    assert len(found.in_words()) == 4
+    suspects = find_suspects(problem, x)
+    assert suspects.is_systematic
+    assert suspects.slip is None
+    assert len(suspects.in_words()) == 4
 
 
 def test_what_the_known_noise_explains_is_not_suspicious_however_well_the_others_agree() -> None:

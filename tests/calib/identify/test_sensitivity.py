@@ -59,9 +59,9 @@ def test_very_many_points_are_compared_in_parts_and_keep_their_rows(monkeypatch:
     problem = problem_of(RIGHT, make_points(points.setup, points.point, points.repeat, points.q_rad, tips), Choice())
     x = (dh - RIGHT.dh).ravel() / problem.scale
     monkeypatch.setattr(outliers, "PART", 40)
-    found = outliers.find_suspects(problem, x)
-    assert [one.row for one in found.outliers] == [41]
-    assert found.points_count == len(points)
+    suspects = outliers.find_suspects(problem, x)
+    assert [one.row for one in suspects.outliers] == [41]
+    assert suspects.points_count == len(points)
 
 
 def test_what_no_point_has_takes_no_memory() -> None:

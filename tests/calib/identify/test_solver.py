@@ -44,19 +44,19 @@ def workspace_problem(m: int, seed: int, noise_m: float = 0.00014, size: float =
 def test_the_optimum_is_within_a_millionth_of_the_best_that_any_solver_finds(name, seed) -> None:
     """On the board and in the workspace, most of them with bounds that bind. `make solver-study` does that for hundreds."""
     problem = case(seed)
-    found = minimise(problem, objective_named(name))
-    known = best_known(problem, found.objective, seed, own_starts=2, slsqp_starts=1)
-    assert found.value <= min(known.values()) * (1.0 + MILLIONTH)
-    assert np.abs(found.x).max() <= 1.0
-    assert found.is_converged
+    minimum = minimise(problem, objective_named(name))
+    known = best_known(problem, minimum.objective, seed, own_starts=2, slsqp_starts=1)
+    assert minimum.value <= min(known.values()) * (1.0 + MILLIONTH)
+    assert np.abs(minimum.x).max() <= 1.0
+    assert minimum.is_converged
 
 
 @first_at_each_change("e1", "e2", "lsq", "huber")
 def test_without_noise_nothing_is_left(name) -> None:
     problem = workspace_problem(40, 1, noise_m=0.0)
-    found = minimise(problem, objective_named(name))
-    assert norms(problem.residuals(found.x)).max() < 1e-8  # some nanometres: what the search takes for nothing
-    assert found.is_converged
+    minimum = minimise(problem, objective_named(name))
+    assert norms(problem.residuals(minimum.x)).max() < 1e-8  # some nanometres: what the search takes for nothing
+    assert minimum.is_converged
 
 
 @first_at_each_change("e1", "e2", "huber")
@@ -66,9 +66,9 @@ def test_every_fifth_point_may_be_wrong_by_centimetres(name) -> None:
     q = rng.uniform(-1.2, 1.2, (100, 3))
     tips = REFERENCE.tips(true, q) + rng.normal(0.0, 0.0001, (100, 3))
     tips[::5] += rng.uniform(-0.05, 0.05, (20, 3))
-    found = minimise(problem_of_tips(REFERENCE, REFERENCE_DH, q, tips), objective_named(name))
+    minimum = minimise(problem_of_tips(REFERENCE, REFERENCE_DH, q, tips), objective_named(name))
     fresh = rng.uniform(-1.2, 1.2, (200, 3))
-    dh = problem_of_tips(REFERENCE, REFERENCE_DH, q, tips).solution(found.x).dh
+    dh = problem_of_tips(REFERENCE, REFERENCE_DH, q, tips).solution(minimum.x).dh
     assert norms(REFERENCE.tips(dh, fresh) - REFERENCE.tips(true, fresh)).mean() < 0.00015
 
 
@@ -78,10 +78,10 @@ def test_every_fifth_point_may_be_wrong_by_centimetres(name) -> None:
 def test_a_handful_of_points_is_fitted_exactly_and_said_to_be(name, m) -> None:
     """12 or 21 coordinates, 10 determined combinations: 4 points leave nothing, 7 leave a little."""
     problem = workspace_problem(m, 2)
-    found = minimise(problem, objective_named(name))
-    other = best_of_starts(problem, found.objective, 4, 7)
-    nothing = value_of(found.objective, np.full((m, 3), 1e-9))
-    assert found.value <= max(other.value * (1.0 + MILLIONTH), nothing)
+    minimum = minimise(problem, objective_named(name))
+    other = best_of_starts(problem, minimum.objective, 4, 7)
+    nothing = value_of(minimum.objective, np.full((m, 3), 1e-9))
+    assert minimum.value <= max(other.value * (1.0 + MILLIONTH), nothing)
 
 
 @first_at_each_change("lsq", "e2", "e1", "huber")
@@ -91,11 +91,11 @@ def test_an_arm_with_one_joint(name) -> None:
     true = dh + deviations(rng, 1)
     q = rng.uniform(-2.0, 2.0, (25, 1))
     problem = problem_of_tips(model, dh, q, model.tips(true, q) + rng.normal(0.0, 0.0001, (25, 3)))
-    found = minimise(problem, objective_named(name))
-    best = best_known(problem, found.objective, 3, own_starts=4, slsqp_starts=2)
-    assert found.value <= min(best.values()) * (1.0 + MILLIONTH)
-    np.testing.assert_allclose(problem.solution(found.x).dh[0, :3], true[0, :3], atol=2e-4)
-    assert found.x[3] == 0.0  # alpha of the last link moves no tip
+    minimum = minimise(problem, objective_named(name))
+    best = best_known(problem, minimum.objective, 3, own_starts=4, slsqp_starts=2)
+    assert minimum.value <= min(best.values()) * (1.0 + MILLIONTH)
+    np.testing.assert_allclose(problem.solution(minimum.x).dh[0, :3], true[0, :3], atol=2e-4)
+    assert minimum.x[3] == 0.0  # alpha of the last link moves no tip
 
 
 @first_at_each_change("huber", "e2", "e1", "lsq")
@@ -104,9 +104,9 @@ def test_an_arm_in_modified_convention_with_a_tool(name) -> None:
     true = MODIFIED_DH + deviations(rng, 5)
     q = rng.uniform(-1.2, 1.2, (60, 4))
     problem = problem_of_tips(MODIFIED, MODIFIED_DH, q, MODIFIED.tips(true, q) + rng.normal(0.0, 0.0002, (60, 3)))
-    found = minimise(problem, objective_named(name))
-    other = best_of_starts(problem, found.objective, 3, 11)
-    assert found.value <= other.value * (1.0 + MILLIONTH)
+    minimum = minimise(problem, objective_named(name))
+    other = best_of_starts(problem, minimum.objective, 3, 11)
+    assert minimum.value <= other.value * (1.0 + MILLIONTH)
 
 
 def test_no_combination_that_the_noise_hides_ends_at_a_bound() -> None:
@@ -125,21 +125,21 @@ def test_no_combination_that_the_noise_hides_ends_at_a_bound() -> None:
 @first_at_each_change("lsq", "e2")
 def test_thousands_of_poses_are_summed_up_piece_by_piece(name) -> None:
     problem = workspace_problem(CHUNK + 300, 7)
-    found = minimise(problem, objective_named(name))
-    assert found.value == pytest.approx(value_of(found.objective, problem.residuals(found.x)), rel=1e-12)
-    other = best_of_starts(problem, found.objective, 2, 5)
-    assert found.value <= other.value * (1.0 + MILLIONTH)
+    minimum = minimise(problem, objective_named(name))
+    assert minimum.value == pytest.approx(value_of(minimum.objective, problem.residuals(minimum.x)), rel=1e-12)
+    other = best_of_starts(problem, minimum.objective, 2, 5)
+    assert minimum.value <= other.value * (1.0 + MILLIONTH)
 
 
 @first_at_each_change("e2", "e1", "lsq", "huber")
 def test_staying_near_nominal_costs_less_than_a_millionth(name) -> None:
     _, q, tips, _ = board_session(np.random.default_rng(8))
     problem = problem_of_tips(REFERENCE, REFERENCE_DH, q, tips)
-    found = minimise(problem, objective_named(name))
-    lowest = best_of_starts(problem, found.objective, 4, 0)
-    assert found.value <= lowest.value * (1.0 + COST_OF_NEARNESS)
-    assert np.linalg.norm(found.x) <= np.linalg.norm(lowest.x) + 1e-6
-    assert found.x[15] == 0.0  # alpha4 moves no tip
+    minimum = minimise(problem, objective_named(name))
+    lowest = best_of_starts(problem, minimum.objective, 4, 0)
+    assert minimum.value <= lowest.value * (1.0 + COST_OF_NEARNESS)
+    assert np.linalg.norm(minimum.x) <= np.linalg.norm(lowest.x) + 1e-6
+    assert minimum.x[15] == 0.0  # alpha4 moves no tip
 
 
 @first_at_each_change("huber", "e2", "lsq")
@@ -194,23 +194,23 @@ def test_an_average_accuracy_between_the_two_optima_is_met_at_the_least_cost() -
     closest, free = minimise(problem, SumOfDistances()), minimise(problem, LeastSquares())
     least_m, free_m = (float(norms(problem.residuals(end.x)).mean()) for end in (closest, free))
     wanted_m = 0.5 * (least_m + free_m)
-    found = minimise(problem, LeastSquares(), accuracy_limit_m=wanted_m)
-    assert found.constraint_met
-    assert norms(problem.residuals(found.x)).mean() == pytest.approx(wanted_m, rel=2e-6)
-    assert free.value < found.value < value_of(LeastSquares(), problem.residuals(closest.x))
+    minimum = minimise(problem, LeastSquares(), accuracy_limit_m=wanted_m)
+    assert minimum.constraint_met
+    assert norms(problem.residuals(minimum.x)).mean() == pytest.approx(wanted_m, rel=2e-6)
+    assert free.value < minimum.value < value_of(LeastSquares(), problem.residuals(closest.x))
     # 2e-6 of the wanted accuracy may be left unused, which costs about as much of the objective.
-    assert found.value == pytest.approx(constrained_by_slsqp(problem, closest.x, wanted_m), rel=5e-6)
+    assert minimum.value == pytest.approx(constrained_by_slsqp(problem, closest.x, wanted_m), rel=5e-6)
 
 
 @first_at_each_change("e2", "lsq", "e1")
 def test_an_average_accuracy_that_cannot_be_met_is_said_with_the_least_possible(name) -> None:
     problem = workspace_problem(40, 5, size=2.0)
     least_m = float(norms(problem.residuals(minimise(problem, SumOfDistances()).x)).mean())
-    found = minimise(problem, objective_named(name), accuracy_limit_m=0.9 * least_m)
-    assert not found.constraint_met
-    assert found.accuracy.least_m == pytest.approx(least_m, rel=1e-9)
-    assert norms(problem.residuals(found.x)).mean() == pytest.approx(least_m, rel=1e-9)
-    assert "cannot be met" in found.accuracy.in_words()
+    minimum = minimise(problem, objective_named(name), accuracy_limit_m=0.9 * least_m)
+    assert not minimum.constraint_met
+    assert minimum.accuracy.least_m == pytest.approx(least_m, rel=1e-9)
+    assert norms(problem.residuals(minimum.x)).mean() == pytest.approx(least_m, rel=1e-9)
+    assert "cannot be met" in minimum.accuracy.in_words()
     easy = minimise(problem, objective_named(name), accuracy_limit_m=2.0 * least_m)
     assert easy.constraint_met
     assert easy.accuracy.multiplier == 0.0

@@ -80,10 +80,10 @@ def test_one_path_has_an_accuracy_but_no_repeatability() -> None:
 
 def test_path_velocity_by_hand() -> None:
     cycles = [np.array([0.98, 1.02]), np.array([1.00, 1.06])]  # means 1.00 and 1.03
-    found = path.path_velocity(1.0, cycles)
-    assert found.accuracy_percent == pytest.approx(1.5)
-    assert found.repeatability_percent == pytest.approx(100 * 3 * 0.03 / np.sqrt(2.0))
-    assert found.fluctuation_m_s == pytest.approx(0.06)
+    velocity = path.path_velocity(1.0, cycles)
+    assert velocity.accuracy_percent == pytest.approx(1.5)
+    assert velocity.repeatability_percent == pytest.approx(100 * 3 * 0.03 / np.sqrt(2.0))
+    assert velocity.fluctuation_m_s == pytest.approx(0.06)
     assert path.path_velocity(1.0, cycles[:1]).repeatability_percent is None
 
 

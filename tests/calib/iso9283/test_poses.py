@@ -24,9 +24,9 @@ def moved(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def test_pose_accuracy_is_the_distance_to_the_barycentre() -> None:
-    found = pose.pose_accuracy((0.0, 0.0, 0.0), SQUARE)
-    assert found.axes_m == pytest.approx([1 * MM, 2 * MM, 3 * MM], abs=EXACT)
-    assert found.total_m == pytest.approx(np.sqrt(14.0) * MM, abs=EXACT)
+    accuracy = pose.pose_accuracy((0.0, 0.0, 0.0), SQUARE)
+    assert accuracy.axes_m == pytest.approx([1 * MM, 2 * MM, 3 * MM], abs=EXACT)
+    assert accuracy.total_m == pytest.approx(np.sqrt(14.0) * MM, abs=EXACT)
 
 
 def test_pose_accuracy_of_a_single_visit_is_its_distance() -> None:
@@ -67,17 +67,17 @@ def test_distance_accuracy_and_repeatability_by_hand() -> None:
     second = MM * np.array([(101.0, 0, 0), (103.0, 0, 0)])
     commanded = (0.1, 0, 0), (0, 0, 0)
     assert pose.distance_accuracy(*commanded, second, first).total_m == pytest.approx(2 * MM, abs=1e-13)
-    found = pose.distance_repeatability(second, first)
-    assert found.total_m == pytest.approx(3 * np.sqrt(2.0) * MM, abs=1e-13)  # S of 101 and 103 is sqrt(2)
-    assert found.axes_m == pytest.approx([3 * np.sqrt(2.0) * MM, 0, 0], abs=1e-13)
+    repeatability = pose.distance_repeatability(second, first)
+    assert repeatability.total_m == pytest.approx(3 * np.sqrt(2.0) * MM, abs=1e-13)  # S of 101 and 103 is sqrt(2)
+    assert repeatability.axes_m == pytest.approx([3 * np.sqrt(2.0) * MM, 0, 0], abs=1e-13)
 
 
 def test_drift_is_the_change_of_accuracy_and_the_way_of_the_barycentre_is_said_beside_it() -> None:
     first, last = (SQUARE - SQUARE.mean(axis=0) + MM * np.array(shift) for shift in ((1, 0, 0), (0, 1, 0)))
-    found = pose.drift((0, 0, 0), first, last)
-    assert found.accuracy_m == pytest.approx(0.0, abs=EXACT)  # 1 mm off before and after, elsewhere
-    assert found.barycentre_m == pytest.approx(np.sqrt(2.0) * MM, abs=EXACT)
-    assert found.repeatability_m == pytest.approx(0.0, abs=EXACT)
+    drift = pose.drift((0, 0, 0), first, last)
+    assert drift.accuracy_m == pytest.approx(0.0, abs=EXACT)  # 1 mm off before and after, elsewhere
+    assert drift.barycentre_m == pytest.approx(np.sqrt(2.0) * MM, abs=EXACT)
+    assert drift.repeatability_m == pytest.approx(0.0, abs=EXACT)
     wider = pose.drift((0, 0, 0), first, 2.0 * last)
     assert wider.accuracy_m == pytest.approx(MM, abs=EXACT)
     assert wider.repeatability_m == pytest.approx(np.sqrt(2.0) * MM, abs=EXACT)

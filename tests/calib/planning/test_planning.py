@@ -154,9 +154,9 @@ def test_the_best_place_is_found_and_places_out_of_reach_are_passed_over() -> No
         asked.append(shift)
         return None if shift[0] < -0.1 else (shift[0] + 0.06) ** 2 + (shift[1] - 0.2) ** 2
 
-    found = best_place((0.2, 0.2, 0.0), at, lambda one, other: one < other)
-    assert found is not None
-    assert found[0] == pytest.approx((-0.05, 0.2, 0.0), abs=0.051)
+    best = best_place((0.2, 0.2, 0.0), at, lambda one, other: one < other)
+    assert best is not None
+    assert best[0] == pytest.approx((-0.05, 0.2, 0.0), abs=0.051)
     assert len(asked) <= places_count((0.2, 0.2, 0.0))
     assert len(set(asked)) == len(asked)
     assert best_place((0.1, 0.0, 0.0), lambda _: None, lambda one, other: True) is None

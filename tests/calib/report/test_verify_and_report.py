@@ -59,11 +59,11 @@ def comparison_of(before_mm, after_mm, setups):
 
 def test_improvement_is_of_the_means_per_setup() -> None:
     """The paper's own figures: 26.850 to 16.436 mm is 38.79 % better, to 22.207 mm 17.29 %."""
-    found = comparison_of([26.85] * 4, [16.436, 16.436, 22.207, 22.207], ["normal", "normal", "pitch", "pitch"])
-    assert found.of("normal").improvement_percent == pytest.approx(38.786, abs=0.01)
-    assert found.of("pitch").improvement_percent == pytest.approx(17.292, abs=0.01)
-    assert [entry.setup for entry in found.by_setup()] == ["normal", "pitch", "all"]
-    assert found.of("all").before.count == 4
+    comparison = comparison_of([26.85] * 4, [16.436, 16.436, 22.207, 22.207], ["normal", "normal", "pitch", "pitch"])
+    assert comparison.of("normal").improvement_percent == pytest.approx(38.786, abs=0.01)
+    assert comparison.of("pitch").improvement_percent == pytest.approx(17.292, abs=0.01)
+    assert [entry.setup for entry in comparison.by_setup()] == ["normal", "pitch", "all"]
+    assert comparison.of("all").before.count == 4
 
 
 def test_a_paired_difference_is_that_of_a_worked_example() -> None:
@@ -107,11 +107,11 @@ def test_repeats_at_a_point_become_its_mean_and_interval() -> None:
     across = np.array([1.0, 0.0, 0.0])
     errors = 1e-3 * np.array([4 * along + across, 5 * along - 2 * across, 6 * along + across])
     tips = np.tile([0.5, 0.1, 0.0], (3, 1))
-    found = compare_repeated(["n"] * 3, ["1"] * 3, tips, errors, 0.1 * errors)
-    assert found.point == ("1",)
-    np.testing.assert_allclose(found.before_m, [5e-3 * along], atol=1e-12)
-    assert found.before_half_width_m[0] == pytest.approx(student_t(2) * 1e-3 / np.sqrt(3.0))
-    assert found.after_half_width_m[0] == pytest.approx(0.1 * found.before_half_width_m[0])
+    comparison = compare_repeated(["n"] * 3, ["1"] * 3, tips, errors, 0.1 * errors)
+    assert comparison.point == ("1",)
+    np.testing.assert_allclose(comparison.before_m, [5e-3 * along], atol=1e-12)
+    assert comparison.before_half_width_m[0] == pytest.approx(student_t(2) * 1e-3 / np.sqrt(3.0))
+    assert comparison.after_half_width_m[0] == pytest.approx(0.1 * comparison.before_half_width_m[0])
     single = compare_repeated(["n"], ["1"], tips[:1], errors[:1], errors[:1])
     assert np.isnan(single.before_half_width_m[0])
 
@@ -126,12 +126,12 @@ def circle_track(name: str, offset_m: float, count: int = 5000) -> Track:
 
 def test_a_path_counts_as_its_parts_not_as_its_frames() -> None:
     pair = TrackPair("circle", "normal", circle_track("circle", 0.004), circle_track("circle", 0.0004, 3000))
-    found = compare_tracks([pair])
-    assert found is not None
-    assert len(found.point) == PARTS
-    assert found.point[0] == f"circle, part 1 of {PARTS}"
-    np.testing.assert_allclose(found.before_m, 0.004)
-    np.testing.assert_allclose(found.after_m, 0.0004)
+    comparison = compare_tracks([pair])
+    assert comparison is not None
+    assert len(comparison.point) == PARTS
+    assert comparison.point[0] == f"circle, part 1 of {PARTS}"
+    np.testing.assert_allclose(comparison.before_m, 0.004)
+    np.testing.assert_allclose(comparison.after_m, 0.0004)
     assert compare_tracks([]) is None
     planned, _ = parts_of(pair.before)
     middles = (np.arange(PARTS) + 0.5) * 2 * np.pi / PARTS
@@ -143,19 +143,19 @@ def test_parts_where_the_tip_was_hidden_are_left_out() -> None:
     measured = hidden.measured_m.copy()
     measured[:1000] = np.nan  # a fifth of the circle: parts 1 and 2 whole, part 3 in part
     pair = TrackPair("circle", "roll", Track("circle", hidden.time_s, hidden.planned_m, measured), hidden)
-    found = compare_tracks([pair])
-    assert found is not None
-    assert found.point[0] == f"circle, part 3 of {PARTS}"
-    assert len(found.point) == PARTS - 2
+    comparison = compare_tracks([pair])
+    assert comparison is not None
+    assert comparison.point[0] == f"circle, part 3 of {PARTS}"
+    assert len(comparison.point) == PARTS - 2
 
 
 def test_the_text_tables_name_setups_and_units() -> None:
-    found = comparison_of([10.0, 12.0], [1.0, 2.0], ["normal", "normal"])
-    text = comparison_text(found)
+    comparison = comparison_of([10.0, 12.0], [1.0, 2.0], ["normal", "normal"])
+    text = comparison_text(comparison)
     assert "[mm]" in text
     assert "86.4 %" in text
     assert len({len(line) for line in text.splitlines()}) == 1
-    assert findings(found) == ("normal: better by 9.5 mm [3.1, 15.9] (95 %)",)
+    assert findings(comparison) == ("normal: better by 9.5 mm [3.1, 15.9] (95 %)",)
 
 
 def test_what_does_not_belong_together_is_refused() -> None:
@@ -168,9 +168,9 @@ def test_what_does_not_belong_together_is_refused() -> None:
 @pytest.fixture(scope="module")
 def result():
     _, q, tips, setups = board_session(np.random.default_rng(4))
-    found = identified(REFERENCE, REFERENCE_DH, q, tips, starts_count=1)
+    identification = identified(REFERENCE, REFERENCE_DH, q, tips, starts_count=1)
     names = [str(k % 33 + 1) for k in range(len(q))]
-    return found, compare(setups, names, tips, found.error_before_m, found.error_after_m)
+    return identification, compare(setups, names, tips, identification.error_before_m, identification.error_after_m)
 
 
 def full_report(result, tmp_path: Path) -> ReportData:

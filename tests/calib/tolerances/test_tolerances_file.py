@@ -13,13 +13,13 @@ ARM = load_arm("right")
 
 
 def test_the_supplied_example_is_for_the_supplied_arm() -> None:
-    found = parse_tolerances(tolerances_text("right"), "right", ARM)
-    assert (len(found.links), len(found.joints)) == (4, 3)
-    assert found.joints[0].stiffness_Nm_rad == Spread(lowest=3000.0, highest=6000.0)
-    assert found.joints[2].stiffness_Nm_rad == Spread(lowest=800.0, highest=1500.0)
-    assert (found.links[1].EI_Nm2 is not None, found.links[0].EI_Nm2 is None) == (True, True)
+    tolerances = parse_tolerances(tolerances_text("right"), "right", ARM)
+    assert (len(tolerances.links), len(tolerances.joints)) == (4, 3)
+    assert tolerances.joints[0].stiffness_Nm_rad == Spread(lowest=3000.0, highest=6000.0)
+    assert tolerances.joints[2].stiffness_Nm_rad == Spread(lowest=800.0, highest=1500.0)
+    assert (tolerances.links[1].EI_Nm2 is not None, tolerances.links[0].EI_Nm2 is None) == (True, True)
     assert ARM.camera is not None
-    assert (found.poses, found.noise_m) == (60, ARM.camera.position_noise_m)
+    assert (tolerances.poses, tolerances.noise_m) == (60, ARM.camera.position_noise_m)
 
 
 @pytest.mark.parametrize(

@@ -190,9 +190,9 @@ def test_iso9283_figures_of_a_programme_lie_in_their_intervals() -> None:
     seen_m = made.true_m + rng.normal(0.0, NOISE_m, made.true_m.shape)
     points = make_points(["pose"] * len(names), names, [1] * len(names), at, seen_m, made.unseen.direction)
     trust = trusted()
-    found = pose_figures(trust.predictor, ARM, points, Path("points.csv"))
-    assert [(one.where, one.visits) for one in found] == [("pose P1", visits), ("pose P2", visits)]
-    for one in found:
+    figures = pose_figures(trust.predictor, ARM, points, Path("points.csv"))
+    assert [(one.where, one.visits) for one in figures] == [("pose P1", visits), ("pose P2", visits)]
+    for one in figures:
         assert one.measured_accuracy_m is not None
         assert one.measured_repeatability_m is not None
         assert one.repeatability_m is not None

@@ -42,14 +42,14 @@ def predicted_by(build):
 def test_each_setup_is_left_out_once_and_predicted_to_about_the_noise() -> None:
     rng = np.random.default_rng(1)
     points = board_points(rng, true_dh(rng))
-    found = held_out(predicted_by(build), points, "setup")
-    assert [fold.name for fold in found.folds] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
-    assert sorted(row for fold in found.folds for row in fold.rows) == list(range(99))
+    held = held_out(predicted_by(build), points, "setup")
+    assert [fold.name for fold in held.folds] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
+    assert sorted(row for fold in held.folds for row in fold.rows) == list(range(99))
     nominal = norms(problem_of(RIGHT, points).residuals(np.zeros(16)))
-    assert np.mean(found.before_m) == pytest.approx(nominal.mean(), rel=1e-6)
+    assert np.mean(held.before_m) == pytest.approx(nominal.mean(), rel=1e-6)
     # Noise alone makes 1.6 * 0.14 mm; from two boards to the third adds some.
-    assert 1.3 * NOISE_m < np.mean(found.after_m) < 4 * NOISE_m
-    assert found.improvement_percent > 90.0
+    assert 1.3 * NOISE_m < np.mean(held.after_m) < 4 * NOISE_m
+    assert held.improvement_percent > 90.0
 
 
 def test_a_gross_error_in_one_setup_shows_there_and_not_in_its_own_fit() -> None:
@@ -64,19 +64,19 @@ def test_a_gross_error_in_one_setup_shows_there_and_not_in_its_own_fit() -> None
 def test_every_third_point_is_left_out_interleaved() -> None:
     rng = np.random.default_rng(3)
     points = board_points(rng, true_dh(rng), ("normal",))
-    found = held_out(predicted_by(build), points, 3)
-    assert [fold.rows[:3] for fold in found.folds] == [(0, 3, 6), (1, 4, 7), (2, 5, 8)]
-    assert {fold.measure for fold in found.folds} == {"error"}
+    held = held_out(predicted_by(build), points, 3)
+    assert [fold.rows[:3] for fold in held.folds] == [(0, 3, 6), (1, 4, 7), (2, 5, 8)]
+    assert {fold.measure for fold in held.folds} == {"error"}
 
 
 def test_a_board_of_unknown_place_that_is_left_out_is_scored_by_the_scatter_in_its_cavities() -> None:
     rng = np.random.default_rng(4)
     dh = true_dh(rng, size=0.4)
     both = joined([board_points(rng, dh, is_measured=False) for _ in range(2)])
-    found = held_out(predicted_by(lambda points: problem_of(UNPLACED, points)), both, "setup")
-    assert found.is_scatter
+    held = held_out(predicted_by(lambda points: problem_of(UNPLACED, points)), both, "setup")
+    assert held.is_scatter
     # Two tips about their mean: 1.6 * 0.14 mm / sqrt(2).
-    assert np.mean(found.after_m) == pytest.approx(1.6 * NOISE_m / np.sqrt(2), rel=0.15)
+    assert np.mean(held.after_m) == pytest.approx(1.6 * NOISE_m / np.sqrt(2), rel=0.15)
 
 
 def test_without_a_choice_setups_are_left_out_if_there_are_several_else_every_fifth_point() -> None:
@@ -110,11 +110,11 @@ def test_free_poses_are_left_out_part_by_part() -> None:
     q = rng.uniform(-1.0, 1.0, (12, 3))
     tips = model.tips(dh, q) + rng.normal(0.0, NOISE_m, (12, 3))
     free = make_points(["free"] * 12, [f"f{k}" for k in range(12)], [1] * 12, q, tips)
-    found = held_out(predicted_by(build), joined([board, free]))
-    assert [fold.name for fold in found.folds[:3]] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
-    assert [fold.name for fold in found.folds[3:]] == [f'part {k} of 4 of setup "free"' for k in (1, 2, 3, 4)]
-    assert [len(fold.rows) for fold in found.folds[3:]] == [3, 3, 3, 3]
-    assert found.after_m.mean() < 1.3 * 1.6 * NOISE_m
+    held = held_out(predicted_by(build), joined([board, free]))
+    assert [fold.name for fold in held.folds[:3]] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
+    assert [fold.name for fold in held.folds[3:]] == [f'part {k} of 4 of setup "free"' for k in (1, 2, 3, 4)]
+    assert [len(fold.rows) for fold in held.folds[3:]] == [3, 3, 3, 3]
+    assert held.after_m.mean() < 1.3 * 1.6 * NOISE_m
 
 
 def test_a_flexure_that_the_arms_file_has_bends_what_is_left_out_too() -> None:

@@ -65,16 +65,16 @@ def left_out(before_m: float, after_m: float, name: str = 'setup "roll"', m: int
     ],
 )
 def test_each_case_gets_its_grade(found, held, floor, grade) -> None:
-    said = verdict(found, held, floor)
-    assert said.grade == grade
-    assert said.is_good == (grade == "good")
-    assert all(sentence.endswith(".") for sentence in said.in_words())
+    judgement = verdict(found, held, floor)
+    assert judgement.grade == grade
+    assert judgement.is_good == (grade == "good")
+    assert all(sentence.endswith(".") for sentence in judgement.in_words())
 
 
 def test_an_effect_that_is_missing_sends_to_the_gap_and_names_the_ratio() -> None:
-    said = verdict(fitted(noise_m=0.0008), left_out(0.02, 0.0015), FLOOR)
-    assert any("armwright gap" in step for step in said.next_steps)
-    assert any("6.71 times that" in sentence for sentence in said.sentences)
+    judgement = verdict(fitted(noise_m=0.0008), left_out(0.02, 0.0015), FLOOR)
+    assert any("armwright gap" in step for step in judgement.next_steps)
+    assert any("6.71 times that" in sentence for sentence in judgement.sentences)
 
 
 def test_the_paper_stands_beside_the_setup_of_the_same_name() -> None:
@@ -93,9 +93,9 @@ def test_the_paper_stands_beside_no_other_arm() -> None:
 
 
 def test_a_weak_design_asks_for_free_poses_and_one_board_for_tilts() -> None:
-    said = verdict(fitted(condition_number=950.0), left_out(0.02, 0.00025), FLOOR, setups=["normal"] * 99)
-    assert any("more tilts of the board and a dozen poses away" in step for step in said.next_steps)
-    assert any('only around the setup "normal"' in sentence for sentence in said.sentences)
+    judgement = verdict(fitted(condition_number=950.0), left_out(0.02, 0.00025), FLOOR, setups=["normal"] * 99)
+    assert any("more tilts of the board and a dozen poses away" in step for step in judgement.next_steps)
+    assert any('only around the setup "normal"' in sentence for sentence in judgement.sentences)
     assert verdict(fitted(), left_out(0.02, 0.00025), FLOOR, setups=["a", "b"]).next_steps == ()
 
 
@@ -109,10 +109,10 @@ def test_a_real_session_from_end_to_end_is_good_and_with_play_it_is_not() -> Non
 
 def graded(points) -> str:
     problem = problem_of(RIGHT, points)
-    found = identify(problem, objective=LeastSquares(), starts_count=1)
+    identification = identify(problem, objective=LeastSquares(), starts_count=1)
     held = held_out(predicted_by(lambda some: problem_of(RIGHT, some)), points)
-    floor = noise_floor(RIGHT, points, problem, found.x)
-    return verdict(found, held, floor, find_suspects(problem, found.x), points.setup).grade
+    floor = noise_floor(RIGHT, points, problem, identification.x)
+    return verdict(identification, held, floor, find_suspects(problem, identification.x), points.setup).grade
 
 
 def repeated(points, direction, extra_q) -> "np.ndarray":
@@ -150,16 +150,16 @@ def test_approaches_from_two_sides_are_no_repeats() -> None:
 def test_exact_points_are_not_over_fitted_and_not_good_by_a_noise_that_they_do_not_have() -> None:
     exact = fitted(noise_m=1e-12)
     assert verdict(exact, left_out(0.02, 1e-9), None).grade == "noise not known"
-    found = verdict(exact, left_out(0.02, 1e-9), FLOOR)
-    assert found.grade == "noise not known"
-    assert "were not measured with it" in " ".join(found.sentences)
+    judgement = verdict(exact, left_out(0.02, 1e-9), FLOOR)
+    assert judgement.grade == "noise not known"
+    assert "were not measured with it" in " ".join(judgement.sentences)
     assert verdict(fitted(noise_m=1e-5), left_out(0.02, 0.001), None).grade == "over-fitted"
 
 
 def test_an_arm_is_not_called_good_while_a_joint_of_it_never_moved() -> None:
-    found = verdict(fitted(), left_out(0.02, 0.00025), FLOOR, still=("q1_rad", "q3_rad"))
-    assert found.grade == "too few points"
-    assert "q1_rad and q3_rad never moved" in " ".join(found.sentences)
+    judgement = verdict(fitted(), left_out(0.02, 0.00025), FLOOR, still=("q1_rad", "q3_rad"))
+    assert judgement.grade == "too few points"
+    assert "q1_rad and q3_rad never moved" in " ".join(judgement.sentences)
 
 
 def test_the_held_out_error_has_its_interval() -> None:

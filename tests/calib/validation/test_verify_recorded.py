@@ -31,11 +31,11 @@ def test_predictions_are_compared_where_the_tip_was_seen() -> None:
     true, points = seen_session()
     tips = points.tip_m.copy()
     tips[3] = np.nan  # point "3" is a cavity, too, but one pose places no board
-    found = compare_arms(RIGHT, true, replace(points, tip_m=tips))
-    assert len(found.point) == 32
-    assert "3" not in found.point
-    assert found.of("roll").before.mean_m > 0.005
-    assert found.of("roll").after.max_m < 1e-9
+    comparison = compare_arms(RIGHT, true, replace(points, tip_m=tips))
+    assert len(comparison.point) == 32
+    assert "3" not in comparison.point
+    assert comparison.of("roll").before.mean_m > 0.005
+    assert comparison.of("roll").after.max_m < 1e-9
 
 
 def test_tips_are_taken_in_the_frame_that_the_arm_says() -> None:
@@ -44,9 +44,9 @@ def test_tips_are_taken_in_the_frame_that_the_arm_says() -> None:
     c, s = np.cos(0.5), np.sin(0.5)
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     in_camera = (points.tip_m - [0.1, -0.2, 0.0]) @ rotation
-    found = compare_arms(RIGHT, replace(true, effects=(frame,)), replace(points, tip_m=in_camera))
-    assert found.of("roll").after.max_m < 1e-9
-    assert found.of("roll").before.mean_m > 0.05  # as wrong as the frame is far
+    comparison = compare_arms(RIGHT, replace(true, effects=(frame,)), replace(points, tip_m=in_camera))
+    assert comparison.of("roll").after.max_m < 1e-9
+    assert comparison.of("roll").before.mean_m > 0.05  # as wrong as the frame is far
 
 
 def test_static_effects_of_a_model_are_part_of_its_prediction() -> None:
@@ -54,9 +54,9 @@ def test_static_effects_of_a_model_are_part_of_its_prediction() -> None:
     true, points = seen_session()
     said_too_little = replace(points, q_rad=points.q_rad / [1.0, 1.01, 1.0])
     scaled = replace(true, effects=(Effect("encoder_scale", 2, {"scale": 0.01}),))
-    found = compare_arms(true, scaled, said_too_little)
-    assert found.of("roll").after.max_m < 1e-9
-    assert found.of("roll").before.mean_m > 0.003
+    comparison = compare_arms(true, scaled, said_too_little)
+    assert comparison.of("roll").after.max_m < 1e-9
+    assert comparison.of("roll").before.mean_m > 0.003
 
 
 def seated(arm: Arm, setups: int, poses: int) -> Points:
@@ -92,12 +92,12 @@ def test_a_board_nobody_measured_tells_models_apart_by_their_consistency() -> No
     rows = np.random.default_rng(3).uniform(-1, 1, PANDA.dh.shape) * [0.002, 0.01, 0.002, 0.01]
     true = replace(PANDA.with_dh(PANDA.dh + rows), tool=Tool((0.02, 0.0, 0.12)))
     points = seated(true, 2, 8)
-    found = compare_arms(replace(PANDA, tool=true.tool), true, points)
-    assert len(found.point) == 16
-    assert "hole_0, pose 4" in found.point
-    assert found.of("all").after.max_m < 1e-8
-    assert found.of("all").before.mean_m > 0.001
-    assert np.isnan(found.after_half_width_m).all()
+    comparison = compare_arms(replace(PANDA, tool=true.tool), true, points)
+    assert len(comparison.point) == 16
+    assert "hole_0, pose 4" in comparison.point
+    assert comparison.of("all").after.max_m < 1e-8
+    assert comparison.of("all").before.mean_m > 0.001
+    assert np.isnan(comparison.after_half_width_m).all()
 
 
 def test_too_few_poses_place_no_board() -> None:
@@ -113,9 +113,9 @@ def test_rows_of_one_name_and_pose_are_repeats() -> None:
     twice = points.chosen([0, 0, 1, 1])
     scatter = np.outer([1e-4, -1e-4, 0.0, 0.0], [1.0, 0.0, 0.0])
     shaken = replace(twice, tip_m=twice.tip_m + scatter)
-    found = compare_arms(RIGHT, true, shaken)
-    assert found.point == ("0", "1")
-    assert found.before_half_width_m[0] > 0.0
+    comparison = compare_arms(RIGHT, true, shaken)
+    assert comparison.point == ("0", "1")
+    assert comparison.before_half_width_m[0] > 0.0
 
 
 def test_a_table_without_cavities_of_these_names_is_no_reference() -> None:
@@ -130,10 +130,10 @@ def test_a_tracker_of_unknown_place_is_put_where_each_model_fits_best_and_that_i
     c, s = np.cos(0.7), np.sin(0.7)
     away = points.tip_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T + [4.07, -1.2, 0.3]
     bare = [replace(arm, table=None) for arm in (RIGHT, true)]
-    found = compare_arms(*bare, replace(points, tip_m=away))
-    assert found.of("roll").after.max_m < 1e-9
-    assert 1e-3 < found.of("roll").before.mean_m < 0.05
-    assert "says where the frame of the measured tips stands" in found.cautions[-1]
+    comparison = compare_arms(*bare, replace(points, tip_m=away))
+    assert comparison.of("roll").after.max_m < 1e-9
+    assert 1e-3 < comparison.of("roll").before.mean_m < 0.05
+    assert "says where the frame of the measured tips stands" in comparison.cautions[-1]
     with pytest.raises(CalibrationError, match="measured in a frame that stands elsewhere"):
         compare_arms(RIGHT, true, replace(points, tip_m=away))  # its table says where
 
@@ -141,22 +141,22 @@ def test_a_tracker_of_unknown_place_is_put_where_each_model_fits_best_and_that_i
 def test_copies_count_once_and_identical_errors_have_no_interval() -> None:
     true, points = seen_session()
     twice = points.chosen([*range(33), *range(10)])
-    found = compare_arms(RIGHT, true, twice)
-    assert len(found.setup) == 33
-    assert "copies" in found.cautions[0]
+    comparison = compare_arms(RIGHT, true, twice)
+    assert len(comparison.setup) == 33
+    assert "copies" in comparison.cautions[0]
     same = difference(np.full(12, 0.004), np.full(12, 0.001))
     assert np.isnan(same.half_width_m)
     assert same.in_words() == "no significant difference: +3.000 mm at all 12 points alike, which tells no interval"
     flat = np.tile([0.003, 0.0, 0.0], (12, 1))
-    said = comparison_text(compare(["a"] * 12, [str(k) for k in range(12)], flat, flat, flat))
-    assert "unknown" in said
-    assert "nan" not in said
+    table = comparison_text(compare(["a"] * 12, [str(k) for k in range(12)], flat, flat, flat))
+    assert "unknown" in table
+    assert "nan" not in table
 
 
 def test_fewer_tips_than_place_a_frame_are_compared_in_the_base_frame() -> None:
     true, points = seen_session()
     few = points.chosen(range(LEAST_POSES - 1))
-    found = compare_arms(RIGHT, true, few)
-    assert len(found.point) == LEAST_POSES - 1
-    assert found.of("roll").after.max_m < 1e-9
-    assert found.of("roll").before.mean_m > 0.005
+    comparison = compare_arms(RIGHT, true, few)
+    assert len(comparison.point) == LEAST_POSES - 1
+    assert comparison.of("roll").after.max_m < 1e-9
+    assert comparison.of("roll").before.mean_m > 0.005

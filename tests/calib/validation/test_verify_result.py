@@ -111,9 +111,9 @@ def calibrated(tmp_path: Path) -> Arm:
 def test_the_file_that_the_arm_was_calibrated_with_is_recognised_by_its_hash(calibrated: Arm) -> None:
     assert calibrated.calibration is not None
     digest = calibrated.calibration.inputs["points.csv"]
-    found = already_used(calibrated, np.zeros((2, 3)), digest)
-    assert found.count == 2
-    assert "these points are points.csv" in found.warnings[0]
+    used = already_used(calibrated, np.zeros((2, 3)), digest)
+    assert used.count == 2
+    assert "these points are points.csv" in used.warnings[0]
 
 
 def test_a_used_pose_is_recognised_in_another_file(calibrated: Arm) -> None:

@@ -91,9 +91,9 @@ def test_a_small_tag_seen_head_on_is_rejected_as_ambiguous() -> None:
     rng, tag = np.random.default_rng(5), Tags.single(7, 0.02)
     head_on = [drawn_pose(rng, tilt=0.05, near=0.6, far=0.7) for _ in range(6)]
     tilted = [drawn_pose(rng, tilt=0.8, near=0.2, far=0.21) for _ in range(6)]
-    found = measure_poses(tag, [CameraPictures("one", lens_of(), sightings(tag, [*head_on, *tilted], rng))])
-    assert sum("fits two poses" in one.reason for one in found.rejected) >= 2
-    assert all(int(one.name[1:]) < 6 for one in found.rejected)
+    poses = measure_poses(tag, [CameraPictures("one", lens_of(), sightings(tag, [*head_on, *tilted], rng))])
+    assert sum("fits two poses" in one.reason for one in poses.rejected) >= 2
+    assert all(int(one.name[1:]) < 6 for one in poses.rejected)
 
 
 def test_a_picture_unlike_the_others_is_rejected() -> None:
@@ -102,9 +102,9 @@ def test_a_picture_unlike_the_others_is_rejected() -> None:
     bent = first.corners.picture_px + 2.0 * np.sin(40.0 * first.corners.target_m[:, :2])
     bad = dataclasses.replace(first, corners=dataclasses.replace(first.corners, picture_px=bent))
     pictures = dataclasses.replace(camera.pictures, seen=(bad, *others))
-    found = measure_poses(BOARD, [dataclasses.replace(camera, pictures=pictures)])
-    assert [one.name for one in found.rejected] == ["p00"]
-    assert "times the usual" in found.rejected[0].reason
+    poses = measure_poses(BOARD, [dataclasses.replace(camera, pictures=pictures)])
+    assert [one.name for one in poses.rejected] == ["p00"]
+    assert "times the usual" in poses.rejected[0].reason
 
 
 def test_a_rolling_shutter_costs_accuracy_only_while_the_target_moves() -> None:

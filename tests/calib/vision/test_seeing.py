@@ -43,12 +43,12 @@ def test_corners_of_rendered_pictures_are_found_to_a_fraction_of_a_pixel_without
     rng, errors = np.random.default_rng(1), []
     for _ in range(3):
         pose = drawn_pose(rng)
-        found = target.find(picture(target, pose, rng).astype(np.uint8))
-        assert len(found) >= 0.8 * target.count
-        error = found.picture_px - lens_of().project(pose.of(found.target_m))
+        corners = target.find(picture(target, pose, rng).astype(np.uint8))
+        assert len(corners) >= 0.8 * target.count
+        error = corners.picture_px - lens_of().project(pose.of(corners.target_m))
         keep = np.linalg.norm(error, axis=1) < 0.5  # one corner in fifty lies beside its place: the fit drops it
         assert keep.mean() > 0.9
-        outward = found.picture_px - found.picture_px.mean(axis=0)
+        outward = corners.picture_px - corners.picture_px.mean(axis=0)
         outward /= np.linalg.norm(outward, axis=1)[:, None]
         errors.append((error[keep], np.sum(error * outward, axis=1)[keep]))
     whole = np.concatenate([error for error, _ in errors])
@@ -61,9 +61,9 @@ def test_a_tag_in_full_view_is_found_from_near_too(seed: int) -> None:
     """Pictures from 0.12 to 0.2 m in which OpenCV's search by contours misses it."""
     rng = np.random.default_rng(seed)
     pose = drawn_pose(rng, tilt=0.3, near=0.12, far=0.2)
-    found = TAG.find(picture(TAG, pose, rng))
-    assert len(found) == 4
-    assert np.abs(found.picture_px - lens_of().project(pose.of(found.target_m))).max() < 3.0
+    corners = TAG.find(picture(TAG, pose, rng))
+    assert len(corners) == 4
+    assert np.abs(corners.picture_px - lens_of().project(pose.of(corners.target_m))).max() < 3.0
 
 
 def test_sharpness_tells_blur_and_contrast() -> None:
@@ -131,8 +131,8 @@ def test_pictures_that_only_another_option_makes_readable_name_it(tmp_path: Path
         file = tmp_path / f"{k}.png"
         file.write_bytes(png_of(picture(printed, drawn_pose(rng, tilt=0.3), rng)))
         files.append(file)
-    found = look_for(LEGACY, files, 6)
-    assert (found.seen, found.remedy) == ((), f"{option}, 2 of 2 pictures show it")
+    sightings = look_for(LEGACY, files, 6)
+    assert (sightings.seen, sightings.remedy) == ((), f"{option}, 2 of 2 pictures show it")
     with pytest.raises(VisionError, match=f"4 are needed: {option}"):
-        fit_lens(LEGACY, found)
+        fit_lens(LEGACY, sightings)
     assert len(look_for(printed, files, 6).seen) == 2

@@ -42,9 +42,9 @@ def test_pictures_become_a_lens_and_points(pictures: Path, tmp_path: Path, capsy
     write_points(tmp_path / "angles.csv", points)
     run = ["camera", "poses", *OF_BOARD, "--camera", str(lens / "camera.json"), "--images", str(pictures)]
     assert main([*run, "--points", str(tmp_path / "angles.csv"), "--out", str(out)]) == 0
-    told = capsys.readouterr()
-    assert "6 of 6 pictures give a pose" in told.out
-    assert "belong to no pose of the points: free_p5_1" in told.err
+    printed = capsys.readouterr()
+    assert "6 of 6 pictures give a pose" in printed.out
+    assert "belong to no pose of the points: free_p5_1" in printed.err
     made, warnings = read_points(out / "points.csv", 3)
     assert (len(made), warnings) == (5, ())
     assert np.isfinite(made.covariance).all()

@@ -318,10 +318,10 @@ def test_check_names_every_board_of_an_arm_that_is_well(
         monkeypatch.setattr("console.commands.serve.MonotonicClock", lambda: rig.clock)
         arguments = ["check", "--arm", str(tmp_path / "arm-2.toml"), "--camera-port", str(rig.camera_port)]
         assert main([*arguments, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"format", "arm", "encoder_boards", "motor_boards", "boards", "rights"}
-    assert [board["channels"] for board in found["encoder_boards"]] == [3]
-    assert [board["encoder_counts_per_turn"] for board in found["motor_boards"]] == [2048] * 3
+    content = json.loads(capsys.readouterr().out)
+    assert set(content) == {"format", "arm", "encoder_boards", "motor_boards", "boards", "rights"}
+    assert [board["channels"] for board in content["encoder_boards"]] == [3]
+    assert [board["encoder_counts_per_turn"] for board in content["motor_boards"]] == [2048] * 3
 
 
 def test_an_arm_is_described_for_people_and_programs(capsys: pytest.CaptureFixture[str]) -> None:

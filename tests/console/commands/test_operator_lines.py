@@ -309,10 +309,10 @@ def test_json_carries_status_and_words_of_every_line(
         monkeypatch.setattr(script, "in_control", lambda given: cell.client)
         given = argparse.Namespace(file=str(file), arm="right", socket=None, check=False, json=True)
         assert script.run_script(given) == 2
-    told = json.loads(capsys.readouterr().out)
-    assert told["status"] == 2
-    assert [(line["number"], line["status"]) for line in told["lines"]] == [(1, 0), (2, 2)]
-    assert "HOLDING" in told["lines"][0]["transcript"]
+    content = json.loads(capsys.readouterr().out)
+    assert content["status"] == 2
+    assert [(line["number"], line["status"]) for line in content["lines"]] == [(1, 0), (2, 2)]
+    assert "HOLDING" in content["lines"][0]["transcript"]
 
 
 QUICK = """

@@ -30,17 +30,17 @@ def test_stops_for_the_session_and_as_a_script(files: list[str], tmp_path: Path,
     line = [*files, "--out", str(out), "--stops", "--any-order", "--tolerance", "30mm"]
     assert main(line) == 0
     printed = capsys.readouterr().out
-    found = json.loads((out / "task.json").read_text())
-    assert found["format"] == "task/1"
-    assert found["as_planned"]["rms_m"] <= found["as_given"]["rms_m"]
-    assert all(sentence in printed for sentence in found["in_words"])
+    content = json.loads((out / "task.json").read_text())
+    assert content["format"] == "task/1"
+    assert content["as_planned"]["rms_m"] <= content["as_given"]["rms_m"]
+    assert all(sentence in printed for sentence in content["in_words"])
     lines = parse_lines((out / "script.txt").read_text().splitlines(), Grammar(COMMANDS, {}))
-    assert len(lines) >= 2 * len(found["stops"])
-    given = argparse.Namespace(**dict.fromkeys(OPTIONS), out=str(tmp_path / "session"))
-    given.plan = str(out / "poses.csv")
-    plan = plan_from_options(given, load_arm("right"))
+    assert len(lines) >= 2 * len(content["stops"])
+    args = argparse.Namespace(**dict.fromkeys(OPTIONS), out=str(tmp_path / "session"))
+    args.plan = str(out / "poses.csv")
+    plan = plan_from_options(args, load_arm("right"))
     assert plan is not None
-    assert [target.q_rad for target in plan.targets] == [pytest.approx(stop["q_rad"], abs=1e-6) for stop in found["stops"]]
+    assert [target.q_rad for target in plan.targets] == [pytest.approx(stop["q_rad"], abs=1e-6) for stop in content["stops"]]
     assert main(line) == 2
     assert "never overwritten" in capsys.readouterr().err
 

@@ -33,15 +33,15 @@ def test_the_map_and_its_words(points: Path, tmp_path: Path, capsys: pytest.Capt
     line += ["--visits", str(visits)]
     assert main([*line, "--payload", "0", "--payload", "1"]) == 0
     printed = capsys.readouterr().out
-    found = json.loads((out / "trust.json").read_text())
-    assert found["format"] == "trust/1"
-    assert [one["where"] for one in found["iso9283"]] == ["pose P1", "pose P2"]
+    content = json.loads((out / "trust.json").read_text())
+    assert content["format"] == "trust/1"
+    assert [one["where"] for one in content["iso9283"]] == ["pose P1", "pose P2"]
     assert "AP_p predicted [mm]" in printed
-    assert all(sentence in printed for sentence in found["in_words"])
-    assert found["tasks"][0]["lower"] <= found["tasks"][0]["probability"] <= found["tasks"][0]["upper"]
+    assert all(sentence in printed for sentence in content["in_words"])
+    assert content["tasks"][0]["lower"] <= content["tasks"][0]["probability"] <= content["tasks"][0]["upper"]
     with np.load(out / "map.npz") as chart:
-        assert chart["expected_m"].shape == (4, found["poses"], 3)
-        assert chart["within_95_m"].max() >= found["within_95_m"]["largest"]
+        assert chart["expected_m"].shape == (4, content["poses"], 3)
+        assert chart["within_95_m"].max() >= content["within_95_m"]["largest"]
     page = (out / "report.html").read_text()
     assert page.count("<svg") == 4
     assert main(line) == 2

@@ -33,17 +33,17 @@ def whole(line: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 def test_the_report_and_its_words(line: list[str], whole: tuple[Path, str], capsys: pytest.CaptureFixture[str]) -> None:
     out, printed = whole
     assert sorted(file.name for file in out.iterdir()) == ["map.npz", "report.html", "tolerances.json"]
-    found = json.loads((out / "tolerances.json").read_text())
-    assert (found["format"], found["arms"]) == ("tolerances/1", 30)
-    assert all(sentence in printed for sentence in found["in_words"])
-    assert [one["stage"] for one in found["stages"]] == ["as built", "calibrated", "corrected"]
-    assert {cost["name"] for cost in found["stages"][0]["costs"]} == {
+    content = json.loads((out / "tolerances.json").read_text())
+    assert (content["format"], content["arms"]) == ("tolerances/1", 30)
+    assert all(sentence in printed for sentence in content["in_words"])
+    assert [one["stage"] for one in content["stages"]] == ["as built", "calibrated", "corrected"]
+    assert {cost["name"] for cost in content["stages"][0]["costs"]} == {
         "joint 2: encoder zero",
         "joint 2: backlash",
         "encoder steps",
         "measuring noise",
     }
-    for stage in found["stages"]:
+    for stage in content["stages"]:
         assert stage["kept_m"]["5 %"]["value"] <= stage["kept_m"]["95 %"]["value"]
         assert 0.0 <= stage["share_within_tolerance"]["lower"] <= stage["share_within_tolerance"]["upper"] <= 1.0
     with np.load(out / "map.npz") as chart:

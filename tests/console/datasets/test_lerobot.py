@@ -117,12 +117,12 @@ def test_tasks_are_a_table_that_pandas_reads_with_the_task_as_index(log: Path, t
 def test_statistics_are_of_each_column() -> None:
     random = np.random.default_rng(2)
     values = random.normal([1.0, -2.0], [0.1, 3.0], size=(20000, 2))
-    found = statistics({"action": values, "index": np.arange(20000)})
-    assert set(found["action"]) == {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
-    np.testing.assert_allclose(found["action"]["std"], [0.1, 3.0], rtol=0.02)
-    np.testing.assert_allclose(found["action"]["q90"], [1.0 + 1.2816 * 0.1, -2.0 + 1.2816 * 3.0], rtol=0.02)
-    assert found["index"]["count"] == [20000]
-    assert found["index"]["max"] == [19999.0]
+    figures = statistics({"action": values, "index": np.arange(20000)})
+    assert set(figures["action"]) == {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
+    np.testing.assert_allclose(figures["action"]["std"], [0.1, 3.0], rtol=0.02)
+    np.testing.assert_allclose(figures["action"]["q90"], [1.0 + 1.2816 * 0.1, -2.0 + 1.2816 * 3.0], rtol=0.02)
+    assert figures["index"]["count"] == [20000]
+    assert figures["index"]["max"] == [19999.0]
 
 
 @pytest.mark.usefixtures("without_pyarrow")
@@ -157,11 +157,11 @@ def test_recordings_without_a_motion_and_of_several_arms_are_one_message(
 ) -> None:
     held = {k: {"mode": MODES.index("HOLDING")} for k in range(30)}
     still = write_recording(tmp_path / "still.armlog", 30, 3, held, arm_toml=arm_text(ARM))
-    other = write_recording(tmp_path / "left.armlog", 30, 3, arm_toml=arm_text(load_arm("left")))
+    second = write_recording(tmp_path / "left.armlog", 30, 3, arm_toml=arm_text(load_arm("left")))
     rest = ["--lerobot", "--task", "t", "--out", tmp_path / "d"]
     assert export(still, *rest) == 2
     assert "the recordings hold no motion" in capsys.readouterr().err
-    assert export(log, other, *rest) == 2
+    assert export(log, second, *rest) == 2
     assert "expected one arm, got right (a.armlog, run 1) and left (left.armlog, run 1)" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 

@@ -42,10 +42,10 @@ def test_each_arm_has_its_screen_and_space_stops_all(tmp_path: Path) -> None:
 
 
 def test_each_arm_has_its_own_files_and_a_socket_is_of_one_arm() -> None:
-    given = argparse.Namespace(
+    args = argparse.Namespace(
         cell="pair", socket=None, places="at/places.toml", teach="taught.csv", keep=None, sessions="sessions"
     )
-    left, right = _of_cell(given)
+    left, right = _of_cell(args)
     assert (left.files.places, right.files.taught) == (Path("at/places-left.toml"), Path("taught-right.csv"))
     assert right.shared["--socket"].endswith("right.sock")
     with pytest.raises(ArmError, match="--socket: not together with --cell"):

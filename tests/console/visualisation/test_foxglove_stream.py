@@ -182,9 +182,9 @@ def test_ctrl_c_and_the_end_of_the_runtime_end_it_and_the_server(
     assert main(["view", "--foxglove"]) == 0
     assert sdk.calls[-1] == "stop"
     assert client.is_closed
-    said = capsys.readouterr()
-    assert "ws://127.0.0.1:8765; Ctrl-C ends it" in said.out
-    assert not said.err
+    printed = capsys.readouterr()
+    assert "ws://127.0.0.1:8765; Ctrl-C ends it" in printed.out
+    assert not printed.err
 
 
 @pytest.mark.parametrize(

@@ -63,13 +63,13 @@ def test_every_form_of_one_recording_gives_the_same_series(recording: Path, tmp_
     whole = read_series(recording)
     runs_only = whole.at(whole.run == 1)  # log.csv has no cycles before the first run
     for name, expected in (("log.mcap", whole), ("log.csv.gz", runs_only), ("log.csv", runs_only)):
-        found = read_series(tmp_path / name)
-        assert len(found) == len(expected)
-        np.testing.assert_allclose(np.diff(found.t_s), np.diff(expected.t_s), atol=2e-9)  # nine digits
+        series = read_series(tmp_path / name)
+        assert len(series) == len(expected)
+        np.testing.assert_allclose(np.diff(series.t_s), np.diff(expected.t_s), atol=2e-9)  # nine digits
         for key in ("q_rad", "q_set_rad", "current_A", "voltage_V", "temperature_C", "tip_m", "late_s", "missed"):
-            np.testing.assert_allclose(getattr(found, key), getattr(expected, key), rtol=1e-7, atol=1e-12)
-        np.testing.assert_array_equal(found.following_error_rad.shape, expected.following_error_rad.shape)
-        assert [found.modes[k] for k in found.mode] == [expected.modes[k] for k in expected.mode]
+            np.testing.assert_allclose(getattr(series, key), getattr(expected, key), rtol=1e-7, atol=1e-12)
+        np.testing.assert_array_equal(series.following_error_rad.shape, expected.following_error_rad.shape)
+        assert [series.modes[k] for k in series.mode] == [expected.modes[k] for k in expected.mode]
     assert read_series(tmp_path / "log.mcap").arm is not None  # attached
 
 
@@ -83,30 +83,30 @@ def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_no
     to_mcap(opened, tmp_path / "log.mcap", arm=RIGHT)
     ahead = AHEAD_rad * np.arange(1, 4)
     for name in ("a.armlog", "log.mcap", "log.csv"):
-        found = read_series(tmp_path / name, RIGHT)
-        np.testing.assert_allclose(found.q_rad - found.joint_rad, np.broadcast_to(ahead, found.q_rad.shape), atol=1e-8)
-        traces = traces_of(found, TipOfArm(kinematics))
-        np.testing.assert_allclose(traces.commanded_m, kinematics.tips(found.q_set_rad - ahead), atol=1e-8)
-        np.testing.assert_allclose(traces.measured_m, kinematics.tips(found.q_rad - ahead), atol=1e-8)
-        seen = np.flatnonzero(np.isfinite(found.tip_m[:, 0]))
-        expected = np.linalg.norm(found.tip_m[seen] - kinematics.tips(found.q_rad[seen] - ahead), axis=1)
-        np.testing.assert_allclose(tip_error_m(found)[seen], expected, atol=1e-7)
+        series = read_series(tmp_path / name, RIGHT)
+        np.testing.assert_allclose(series.q_rad - series.joint_rad, np.broadcast_to(ahead, series.q_rad.shape), atol=1e-8)
+        traces = traces_of(series, TipOfArm(kinematics))
+        np.testing.assert_allclose(traces.commanded_m, kinematics.tips(series.q_set_rad - ahead), atol=1e-8)
+        np.testing.assert_allclose(traces.measured_m, kinematics.tips(series.q_rad - ahead), atol=1e-8)
+        seen = np.flatnonzero(np.isfinite(series.tip_m[:, 0]))
+        expected = np.linalg.norm(series.tip_m[seen] - kinematics.tips(series.q_rad[seen] - ahead), axis=1)
+        np.testing.assert_allclose(tip_error_m(series)[seen], expected, atol=1e-7)
 
 
 def test_the_figures_are_those_of_the_formula(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = printed(capsys, str(recording))
-    assert said["format"] == "plot/1"
-    assert (said["samples"], said["arm"], said["files"]) == (CYCLES, "right", [])
-    for k, joint in enumerate(said["joints"], start=1):
+    text = printed(capsys, str(recording))
+    assert text["format"] == "plot/1"
+    assert (text["samples"], text["arm"], text["files"]) == (CYCLES, "right", [])
+    for k, joint in enumerate(text["joints"], start=1):
         assert joint["joint"] == k
         assert joint["following_rms_rad"] == pytest.approx(k * ERROR_rad)
         assert joint["following_max_rad"] == pytest.approx(k * ERROR_rad)
         assert joint["current_peak_A"] == pytest.approx(0.5 * k)
         assert joint["current_limit_A"] == 8.0
         assert joint["current_saturated_share"] == 0.0
-    assert said["late_p99_s"] == pytest.approx(1e-4)
-    assert said["missed_cycles"] == 0
-    assert said["camera_frames"] == CYCLES / 5
+    assert text["late_p99_s"] == pytest.approx(1e-4)
+    assert text["missed_cycles"] == 0
+    assert text["camera_frames"] == CYCLES / 5
 
 
 def test_saturation_is_counted_against_the_arms_own_limits(tmp_path: Path) -> None:
@@ -162,11 +162,11 @@ def test_a_log_with_angles_alone_is_drawn_and_its_figures_are_null(tmp_path: Pat
     assert main(["plot", str(log), "--out", str(tmp_path / "p")]) == 0
     assert [path.name for path in (tmp_path / "p").iterdir()] == ["tracking.png"]
     capsys.readouterr()
-    said = printed(capsys, str(log))
-    assert said["runs"] == ["a", "b"]
-    assert said["joints"][0]["following_rms_rad"] is None
-    assert said["late_p99_s"] is None
-    assert said["missed_cycles"] is None
+    text = printed(capsys, str(log))
+    assert text["runs"] == ["a", "b"]
+    assert text["joints"][0]["following_rms_rad"] is None
+    assert text["late_p99_s"] is None
+    assert text["missed_cycles"] is None
 
 
 def test_rows_of_nothing_but_nan_are_drawn(tmp_path: Path) -> None:

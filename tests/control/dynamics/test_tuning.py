@@ -55,24 +55,24 @@ def test_what_does_not_fall_like_a_motor_is_refused() -> None:
 def test_an_integrator_with_delay_has_the_margins_of_the_closed_form() -> None:
     # L = k exp(-s d)/s: crossover k, phase margin 90 deg - k d, -180 deg at pi/(2 d), so gain margin pi/(2 d k).
     k, d = 60.0, 0.008
-    found = margins(OMEGA, k * np.exp(-1j * OMEGA * d) / (1j * OMEGA))
-    assert found.crossover_rad_s == pytest.approx(k, rel=0.01)
-    assert found.phase_deg == pytest.approx(90.0 - math.degrees(k * d), abs=0.5)
-    assert found.gain_dB == pytest.approx(20.0 * math.log10(math.pi / (2.0 * d * k)), abs=0.2)
+    least = margins(OMEGA, k * np.exp(-1j * OMEGA * d) / (1j * OMEGA))
+    assert least.crossover_rad_s == pytest.approx(k, rel=0.01)
+    assert least.phase_deg == pytest.approx(90.0 - math.degrees(k * d), abs=0.5)
+    assert least.gain_dB == pytest.approx(20.0 * math.log10(math.pi / (2.0 * d * k)), abs=0.2)
 
 
 def test_a_loop_that_is_unstable_has_no_gain_margin() -> None:
-    found = margins(OMEGA, 300.0 * np.exp(-1j * OMEGA * 0.008) / (1j * OMEGA))
-    assert found.gain_dB == -math.inf
-    assert found.phase_deg < 0.0
-    assert not found.meet(0.0, 0.0)
+    least = margins(OMEGA, 300.0 * np.exp(-1j * OMEGA * 0.008) / (1j * OMEGA))
+    assert least.gain_dB == -math.inf
+    assert least.phase_deg < 0.0
+    assert not least.meet(0.0, 0.0)
 
 
 @pytest.mark.parametrize(("gain", "crossover"), [(1e-3, 0.0), (1e5, math.inf)])
 def test_a_crossover_beyond_the_measurement_is_said_to_be_there(gain: float, crossover: float) -> None:
-    found = margins(OMEGA, gain / (1j * OMEGA))
-    assert found.crossover_rad_s == crossover
-    assert not found.meet(0.0, 0.0)
+    least = margins(OMEGA, gain / (1j * OMEGA))
+    assert least.crossover_rad_s == crossover
+    assert not least.meet(0.0, 0.0)
 
 
 def test_margins_that_are_not_numbers_are_not_kept() -> None:

@@ -41,25 +41,25 @@ def rig() -> Iterator[SteppedRig]:
 
 
 def test_a_wrong_serial_number_names_the_board_and_both_numbers() -> None:
-    said = failure(with_serials(motor2=5, encoder=6))
-    assert "joint 2" in said
-    assert "enc0" in said
-    assert "serial number 5" in said
-    assert "serial number 6" in said
+    message = failure(with_serials(motor2=5, encoder=6))
+    assert "joint 2" in message
+    assert "enc0" in message
+    assert "serial number 5" in message
+    assert "serial number 6" in message
 
 
 @pytest.mark.parametrize("board", ["encoder", "motor2"])
 def test_another_protocol_version_is_named(board: str) -> None:
-    said = failure(RIGHT, FaultTable("wrong_protocol", board, value=9))
-    assert "protocol" in said
-    assert ("enc0" if board == "encoder" else "joint 2") in said
+    message = failure(RIGHT, FaultTable("wrong_protocol", board, value=9))
+    assert "protocol" in message
+    assert ("enc0" if board == "encoder" else "joint 2") in message
 
 
 @pytest.mark.parametrize("board", ["encoder", "motor3"])
 def test_an_encoder_with_other_counts_a_turn_is_named_with_what_arm_toml_says(board: str) -> None:
-    said = failure(RIGHT, FaultTable("wrong_counts", board, value=4096, channel=2))
-    assert "got 4096" in said
-    assert "expected 2048 counts per turn (arm.toml, joint 3)" in said
+    message = failure(RIGHT, FaultTable("wrong_counts", board, value=4096, channel=2))
+    assert "got 4096" in message
+    assert "expected 2048 counts per turn (arm.toml, joint 3)" in message
 
 
 @pytest.mark.parametrize(("board", "name"), [("encoder", "enc0"), ("motor1", "joint 1")])
@@ -79,14 +79,14 @@ def test_a_can_interface_that_is_not_there_is_named() -> None:
 
 def test_all_that_is_wrong_is_said_at_once() -> None:
     port = replace(RIGHT.encoder_boards[0], port="/dev/ttyNONE9")
-    said = failure(
+    message = failure(
         with_drive(RIGHT, 1, motor_serial_number=5),
         FaultTable("silent", "motor2"),
         FaultTable("wrong_protocol", "motor3", value=9),
         encoder_boards=(port,),
     )
     for name in ("/dev/ttyNONE9", "joint 1", "joint 2", "joint 3"):
-        assert name in said
+        assert name in message
 
 
 def test_an_arm_without_a_bus_or_with_too_few_boards_is_refused_before_anything_is_opened(rig: SteppedRig) -> None:

@@ -345,7 +345,7 @@ def test_with_joints_to_spare_the_pose_is_near_the_one_before(name: str) -> None
         near = source.uniform(0.7 * lower, 0.7 * upper)
         known = np.clip(near + source.uniform(-0.6, 0.6, len(near)), 0.9 * lower, 0.9 * upper)
         tip_m = inverse.kinematics.tip(*known)
-        found = inverse.nearest(tip_m, tuple(near))
-        assert math.dist(inverse.kinematics.tip(*found), tip_m) < 1e-8
-        longer.append(travel_rad(found, near) / travel_rad(known, near))
+        q_rad = inverse.nearest(tip_m, tuple(near))
+        assert math.dist(inverse.kinematics.tip(*q_rad), tip_m) < 1e-8
+        longer.append(travel_rad(q_rad, near) / travel_rad(known, near))
     assert max(longer) < 1.5  # the least sum of squares, whose largest part may be somewhat larger

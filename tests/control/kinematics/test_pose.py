@@ -104,12 +104,12 @@ def test_poses_are_found_again_from_nearby_seeds(joints: int, convention: Conven
     q, there = q[is_regular], arm.batch(q[is_regular])
     targets = Targets(there.position_m, there.rotation if has_orientation else None)
     near = q + np.random.default_rng(1).uniform(-0.01, 0.01, q.shape)
-    found = solve(arm, task, targets, near)
-    assert found.is_solved.all()
-    exact = found.error[:, task.exact]
+    solution = solve(arm, task, targets, near)
+    assert solution.is_solved.all()
+    exact = solution.error[:, task.exact]
     assert not exact.size or np.abs(exact).max() < ACCURACY
     if not task.freedom(joints) and not task.nearest:
-        np.testing.assert_allclose(found.q_rad, q, atol=1e-7)
+        np.testing.assert_allclose(solution.q_rad, q, atol=1e-7)
 
 
 def test_of_all_poses_that_hold_the_tip_the_nearest_to_the_posture_is_taken() -> None:
@@ -118,10 +118,10 @@ def test_of_all_poses_that_hold_the_tip_the_nearest_to_the_posture_is_taken() ->
     tip = arm.batch(q)
     targets = Targets(tip.position_m, tip.rotation)
     posture = q + rng.uniform(-0.02, 0.02, q.shape)
-    found = solve(arm, task, targets, posture)
-    here = np.linalg.norm(found.q_rad - posture)
+    solution = solve(arm, task, targets, posture)
+    here = np.linalg.norm(solution.q_rad - posture)
     for _ in range(20):  # any other pose with the same tip is further from the posture
-        other = solve(arm, task, targets, found.q_rad + rng.uniform(-0.05, 0.05, q.shape))
+        other = solve(arm, task, targets, solution.q_rad + rng.uniform(-0.05, 0.05, q.shape))
         assert np.linalg.norm(other.q_rad - posture) >= here - 1e-9
 
 

@@ -55,9 +55,9 @@ def test_opening_finds_the_zero_and_then_it_goes_where_it_is_told(changed: dict[
         assert cell.client.grip("open")["state"] == "OPEN"
         assert opening_m(cell) == pytest.approx(0.08, abs=END_m)
         for wanted_m in (0.03, 0.05):
-            found = cell.client.grip("move", wanted_m)
-            assert found["state"] == "HOLDING"
-            assert found["opening_m"] == pytest.approx(wanted_m, abs=0.3e-3)
+            grip = cell.client.grip("move", wanted_m)
+            assert grip["state"] == "HOLDING"
+            assert grip["opening_m"] == pytest.approx(wanted_m, abs=0.3e-3)
             assert opening_m(cell) == pytest.approx(wanted_m, abs=0.3e-3 + END_m)
         assert cell.client.grip("close")["state"] == "CLOSED"
         assert opening_m(cell) == pytest.approx(0.0, abs=0.3e-3 + END_m)
@@ -109,9 +109,9 @@ def test_without_an_encoder_it_opens_and_closes_and_knows_no_opening() -> None:
 def test_a_motor_that_does_not_turn_ends_by_the_time(cell: Cell) -> None:
     cell.inject("dead_motor", "motor4")
     before_m = opening_m(cell)
-    found = cell.client.grip("open")
-    assert (found["state"], opening_m(cell)) == ("STOPPED", before_m)
-    assert "in time" in found["text"]
+    grip = cell.client.grip("open")
+    assert (grip["state"], opening_m(cell)) == ("STOPPED", before_m)
+    assert "in time" in grip["text"]
 
 
 @pytest.mark.parametrize("how", ["stop", "gripper stop", "hang up"])

@@ -52,11 +52,11 @@ def walk(arm: Arm, start: Sequence[float], step_rad: float, seed: int, count: in
 def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> None:
     corners, kinematics = Corners(RIGHT), ForwardKinematics(RIGHT)
     for q, *batch in zip(poses(20), *(c.T for c in corners.batch(poses(20))), strict=True):
-        found = corners.at(*q)
+        places = corners.at(*q)
         frames = kinematics.link_transforms([q])[0, :, :3, 3]
-        assert found[0] == pytest.approx(frames[2], abs=1e-12)  # the elbow; the shoulder never moves
-        assert found[-1] == pytest.approx(kinematics.tip(*q), abs=1e-12)
-        assert np.allclose(found, batch, atol=1e-12)
+        assert places[0] == pytest.approx(frames[2], abs=1e-12)  # the elbow; the shoulder never moves
+        assert places[-1] == pytest.approx(kinematics.tip(*q), abs=1e-12)
+        assert np.allclose(places, batch, atol=1e-12)
 
 
 @pytest.mark.parametrize("arm", [with_limits(base_radius_m=0.06), SIX, SEVEN], ids=lambda arm: arm.name)
@@ -142,9 +142,9 @@ def test_the_distance_from_the_base_is_that_of_two_segments() -> None:
         points = np.array(ends[0]) + along * (np.array(ends[1]) - np.array(ends[0]))
         heights = np.clip(points[:, 2], 0.0, 0.1)
         true = float(np.hypot(np.hypot(points[:, 0], points[:, 1]), points[:, 2] - heights).min())
-        found = where.clearance(ends, THIN)
-        assert found.distance_m + 10.0 == pytest.approx(true, abs=3e-4)
-        assert found.what == "the arm would meet its own base"
+        clearance = where.clearance(ends, THIN)
+        assert clearance.distance_m + 10.0 == pytest.approx(true, abs=3e-4)
+        assert clearance.what == "the arm would meet its own base"
 
 
 @pytest.mark.parametrize("radius_m", [0.0, 0.03])

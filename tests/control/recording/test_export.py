@@ -126,15 +126,15 @@ def messages(path: Path) -> dict[str, list[tuple[int, Any]]]:
 def test_mcap_holds_the_same_numbers_at_their_times(recording: Path, tmp_path: Path) -> None:
     opened = Recording.open(recording)
     cycles = to_mcap(opened, tmp_path / "log.mcap")
-    found = messages(tmp_path / "log.mcap")
+    lines = messages(tmp_path / "log.mcap")
     named = [dict(zip(opened.layout.names, row, strict=True)) for row in opened.rows()]
-    assert cycles == len(named) == len(found["/joints"]) == len(found["/drives"])
-    for (time_ns, joints), row in zip(found["/joints"], named, strict=True):
+    assert cycles == len(named) == len(lines["/joints"]) == len(lines["/drives"])
+    for (time_ns, joints), row in zip(lines["/joints"], named, strict=True):
         for name in ("q1_rad", "q2_rad", "q3_rad", "speed1_rad_s", "speed3_rad_s", "count2"):
             assert joints[name] == row[name]
         assert time_ns == pytest.approx(1e9 * (STARTED_s + row["t_s"] - named[0]["t_s"]), abs=2000)
     seen = [row for row in named if not math.isnan(row["x_m"])]
-    assert [tip["z_m"] for _, tip in found["/camera"]] == [row["z_m"] for row in seen]
+    assert [tip["z_m"] for _, tip in lines["/camera"]] == [row["z_m"] for row in seen]
 
 
 def test_nothing_is_overwritten(recording: Path, tmp_path: Path) -> None:
@@ -167,10 +167,10 @@ def test_every_0th_cycle_is_refused(recording: Path, tmp_path: Path, every: int)
 def test_a_table_without_a_row_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     still = write_recording(tmp_path / "still.armlog", 9)  # the first motion begins with the tenth cycle
     assert main(["export", str(still), "--out", str(tmp_path / "x")]) == 0
-    said = capsys.readouterr()
-    assert "log.csv.gz: 0 cycles" in said.out
-    assert "log.csv.gz is empty: it begins with the first motion, and nothing moved" in said.err
-    assert "log.mcap is" not in said.err
+    printed = capsys.readouterr()
+    assert "log.csv.gz: 0 cycles" in printed.out
+    assert "log.csv.gz is empty: it begins with the first motion, and nothing moved" in printed.err
+    assert "log.mcap is" not in printed.err
 
 
 def test_the_command_says_what_it_wrote(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -159,9 +159,9 @@ def test_arrays_say_what_floats_say() -> None:
     for distance, what in workspace.clearances(corners.transpose(1, 2, 0), body):
         of_arrays[what] = np.minimum(of_arrays.get(what, math.inf), distance)
     for k, pose in enumerate(corners.tolist()):
-        found = workspace.clearance(pose, body)
+        clearance = workspace.clearance(pose, body)
         least = min(float(distance[k]) for distance in of_arrays.values())
-        assert found.distance_m == pytest.approx(least, abs=1e-12) or least > 0.0
+        assert clearance.distance_m == pytest.approx(least, abs=1e-12) or least > 0.0
 
 
 def test_the_room_of_an_arm_is_what_its_file_says() -> None:

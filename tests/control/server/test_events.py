@@ -30,13 +30,13 @@ def heard_by(cell: Cell) -> list[str]:
 
 @pytest.mark.usefixtures("nobody_below")
 def test_a_move_that_is_stopped_and_a_shutdown_are_told_in_order(cell: Cell) -> None:
-    said = heard_by(cell)
+    heard = heard_by(cell)
     cell.start_move((0.2, -0.4, 0.3))
     cell.run(0.2)
     cell.client.stop()
     cell.client.off()
     run = cell.runtime.run_number
-    assert [line.split(",")[0] for line in said] == [
+    assert [line.split(",")[0] for line in heard] == [
         "client 0: move_joints",
         f"motion {run} begun",
         "client 0: stop",
@@ -46,37 +46,37 @@ def test_a_move_that_is_stopped_and_a_shutdown_are_told_in_order(cell: Cell) -> 
         "shutdown: holding until the arm is at rest",
         "windings shorted: the arm may sink",
         "shutdown: lowering: windings shorted until the arm is at rest",
-        *said[9:-1],
+        *heard[9:-1],
         "drives off",
     ]
-    assert all(line.startswith("shutdown: ") for line in said[9:-1])
+    assert all(line.startswith("shutdown: ") for line in heard[9:-1])
 
 
 def test_a_fault_is_told_with_its_remedy_and_its_acknowledgement(cell: Cell) -> None:
-    said = heard_by(cell)
+    heard = heard_by(cell)
     cell.inject("over_temperature", "motor3")
     cell.until_fault(0.5)
     cell.run(0.1)
-    assert said[0] == "FAULT: windings shorted"
-    assert said[1].startswith("FAULT joint 3: its drive reports a fault: over-temperature; let it cool")
-    assert len(said) == 2
+    assert heard[0] == "FAULT: windings shorted"
+    assert heard[1].startswith("FAULT joint 3: its drive reports a fault: over-temperature; let it cool")
+    assert len(heard) == 2
     cell.rig.clear_faults()
     cell.run(0.1)
     cell.client.acknowledge()
-    assert said[2:] == ["client 0: acknowledge", "windings shorted", "faults acknowledged"]
+    assert heard[2:] == ["client 0: acknowledge", "windings shorted", "faults acknowledged"]
 
 
 def test_a_second_fault_acknowledges_nothing(cell: Cell) -> None:
-    said = heard_by(cell)
+    heard = heard_by(cell)
     for joint in (3, 1):
         cell.inject("over_temperature", f"motor{joint}")
         cell.run(0.5)
-    assert [line.split(":")[0] for line in said] == ["FAULT", "FAULT joint 3", "FAULT joint 1"]
+    assert [line.split(":")[0] for line in heard] == ["FAULT", "FAULT joint 3", "FAULT joint 1"]
 
 
 @pytest.mark.usefixtures("nobody_below")
 def test_a_pause_a_jog_and_hand_guiding_are_told_as_what_they_are(cell: Cell) -> None:
-    said = heard_by(cell)
+    heard = heard_by(cell)
     took_s = cell.start_move((0.2, -0.4, 0.3), speed=0.2)
     run = cell.runtime.run_number
     cell.run(0.1)
@@ -90,7 +90,7 @@ def test_a_pause_a_jog_and_hand_guiding_are_told_as_what_they_are(cell: Cell) ->
         cell.run(0.01)
         cell.client.hold()
         cell.run(0.01)
-    assert [line for line in said if not line.startswith("client 0: ")] == [
+    assert [line for line in heard if not line.startswith("client 0: ")] == [
         f"motion {run} begun, {took_s:.1f} s",
         "paused",
         "resumed",
@@ -106,13 +106,13 @@ def test_a_pause_a_jog_and_hand_guiding_are_told_as_what_they_are(cell: Cell) ->
 
 def test_a_gripper_says_what_it_does_and_that_it_has_lost_what_it_held() -> None:
     with holding_cell(scenario(gripper=GripperTable()), replace(RIGHT, gripper=GRIPPER)) as cell:
-        said = heard_by(cell)
+        heard = heard_by(cell)
         cell.rig.set_object(0.025)
         cell.client.grip("open")
         cell.client.grip("close")
         cell.rig.set_object(None)
         cell.run(1.0)
-        assert [line for line in said if line.startswith("gripper: ")] == [
+        assert [line for line in heard if line.startswith("gripper: ")] == [
             "gripper: on its way",
             "gripper: open",
             "gripper: on its way",
@@ -134,10 +134,10 @@ def test_an_arm_that_its_boards_hold_is_told_at_the_start() -> None:
 
 def test_homing_is_told_and_polling_is_not() -> None:
     with holding_cell() as cell:
-        said = heard_by(cell)
+        heard = heard_by(cell)
         cell.client.status()
         cell.client.home(again=True)
-        assert said == [
+        assert heard == [
             "client 0: home",
             "homing begun",
             "not homed: zeros unknown",
@@ -147,11 +147,11 @@ def test_homing_is_told_and_polling_is_not() -> None:
 
 
 def test_a_client_that_hangs_up_is_told_where_its_motion_ran(cell: Cell) -> None:
-    said = heard_by(cell)
+    heard = heard_by(cell)
     cell.start_move((0.2, -0.4, 0.3))
     cell.run(0.1)
     cell.client.close()
-    assert said[-1] == "client 0 disconnected: its motion is stopped"
+    assert heard[-1] == "client 0 disconnected: its motion is stopped"
 
 
 def test_what_is_said_is_printed_before_the_printer_ends() -> None:

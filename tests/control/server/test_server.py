@@ -53,11 +53,11 @@ class Bench:
         return self.handle(request)
 
     def client(self) -> socket.socket:
-        one = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        one.settimeout(30.0)
-        one.connect(str(self.server.path))
-        self.sockets.append(one)
-        return one
+        first = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        first.settimeout(30.0)
+        first.connect(str(self.server.path))
+        self.sockets.append(first)
+        return first
 
     def poll(self, times: int = 3) -> None:
         for _ in range(times):
@@ -87,9 +87,9 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def is_alive(bench: Bench) -> bool:
     """Whether a new client is served."""
-    one = bench.client()
-    one.sendall(b'{"do": "ping"}\n')
-    return bench.answer(one) == {"ok": True, "do": "ping"}
+    client = bench.client()
+    client.sendall(b'{"do": "ping"}\n')
+    return bench.answer(client) == {"ok": True, "do": "ping"}
 
 
 def test_a_poll_without_anything_to_do_returns_at_once(bench: Bench) -> None:
@@ -102,11 +102,11 @@ def test_a_poll_without_anything_to_do_returns_at_once(bench: Bench) -> None:
 
 
 def test_an_id_comes_back_with_its_answer(bench: Bench) -> None:
-    one = bench.client()
-    one.sendall(b'{"do": "a", "id": 7}\n')
-    assert bench.answer(one)["id"] == 7
-    one.sendall(b'{"do": "a", "id": "seven"}\n')
-    assert bench.answer(one)["id"] == "seven"
+    client = bench.client()
+    client.sendall(b'{"do": "a", "id": 7}\n')
+    assert bench.answer(client)["id"] == 7
+    client.sendall(b'{"do": "a", "id": "seven"}\n')
+    assert bench.answer(client)["id"] == "seven"
 
 
 GARBAGE = [
@@ -132,12 +132,12 @@ GARBAGE = [
 
 @pytest.mark.parametrize("garbage", GARBAGE, ids=lambda line: repr(line[:20]))
 def test_garbage_is_answered_or_skipped_and_the_next_request_is_served(bench: Bench, garbage: bytes) -> None:
-    one = bench.client()
-    one.sendall(garbage)
+    client = bench.client()
+    client.sendall(garbage)
     bench.poll(60)
-    one.sendall(b'{"do": "after"}\n')
+    client.sendall(b'{"do": "after"}\n')
     bench.poll(10)
-    lines = one.recv(1 << 20).splitlines()
+    lines = client.recv(1 << 20).splitlines()
     assert json.loads(lines[-1]) == {"ok": True, "do": "after"}
     assert all(json.loads(line)["ok"] is False for line in lines[:-1] if b"after" not in line and b"5.5" not in line)
 
@@ -145,40 +145,40 @@ def test_garbage_is_answered_or_skipped_and_the_next_request_is_served(bench: Be
 def test_random_bytes_never_stop_the_server(bench: Bench) -> None:
     source = random.Random(7)
     for _ in range(30):
-        one = bench.client()
-        one.sendall(bytes(source.choices(b'{}[]":,\n\n\\ \x00\xffdo1e', k=source.randrange(1, 400))))
+        client = bench.client()
+        client.sendall(bytes(source.choices(b'{}[]":,\n\n\\ \x00\xffdo1e', k=source.randrange(1, 400))))
         bench.poll(5)
-        one.close()
+        client.close()
     bench.poll(200)
     assert is_alive(bench)
 
 
 def test_a_line_without_end_is_cut_off_with_its_client(bench: Bench) -> None:
-    one = bench.client()
-    one.setblocking(False)
+    client = bench.client()
+    client.setblocking(False)
     sent = 0
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):
         while sent < 2 * LINE_LIMIT_bytes:
             with contextlib.suppress(BlockingIOError):
-                sent += one.send(b"x" * 4096)
+                sent += client.send(b"x" * 4096)
             bench.poll(1)
     assert LINE_LIMIT_bytes <= sent < 2 * LINE_LIMIT_bytes
     assert is_alive(bench)
 
 
 def test_a_request_may_come_in_pieces(bench: Bench) -> None:
-    one = bench.client()
+    client = bench.client()
     for byte in b'{"do": "slow"}\n':
-        one.sendall(bytes([byte]))
+        client.sendall(bytes([byte]))
         bench.poll(1)
-    assert bench.answer(one)["do"] == "slow"
+    assert bench.answer(client)["do"] == "slow"
 
 
 def test_half_a_line_is_no_request(bench: Bench) -> None:
-    one = bench.client()
-    one.sendall(b'{"do": "half"}')
+    client = bench.client()
+    client.sendall(b'{"do": "half"}')
     bench.poll()
-    one.close()
+    client.close()
     bench.poll()
     assert bench.asked == []
     assert bench.gone == [1]
@@ -249,10 +249,10 @@ def test_a_client_waits_for_its_turn_where_others_connect_all_the_time(tmp_path:
     bench = Bench(tmp_path / "arm.sock")
     with contextlib.suppress(BlockingIOError):
         while True:
-            one = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            bench.sockets.append(one)
-            one.setblocking(False)
-            one.connect(str(bench.server.path))
+            first = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            bench.sockets.append(first)
+            first.setblocking(False)
+            first.connect(str(bench.server.path))
     with ThreadPoolExecutor() as pool:
         late = pool.submit(SocketChannel, bench.server.path, 30.0)
         while not late.done():
@@ -272,20 +272,20 @@ def test_a_client_that_does_not_read_is_cut_off_and_nobody_waits_for_it(bench: B
 
 
 def test_a_client_that_closes_its_sending_side_as_nc_does_gets_its_answer(bench: Bench) -> None:
-    one = bench.client()
-    one.sendall(b'{"do": "status"}\n')
-    one.shutdown(socket.SHUT_WR)
-    assert bench.answer(one) == {"ok": True, "do": "status"}
-    assert one.recv(100) == b""
+    client = bench.client()
+    client.sendall(b'{"do": "status"}\n')
+    client.shutdown(socket.SHUT_WR)
+    assert bench.answer(client) == {"ok": True, "do": "status"}
+    assert client.recv(100) == b""
     assert bench.gone == [1]
 
 
 def test_a_client_that_closes_its_sending_side_gets_all_its_answers(bench: Bench) -> None:
-    one = bench.client()
-    one.sendall(b'{"do": "a"}\n{"do": "b"}\n{"do": "c"}\n')
-    one.shutdown(socket.SHUT_WR)
+    client = bench.client()
+    client.sendall(b'{"do": "a"}\n{"do": "b"}\n{"do": "c"}\n')
+    client.shutdown(socket.SHUT_WR)
     bench.poll(6)
-    assert [json.loads(line)["do"] for line in one.recv(1000).splitlines()] == ["a", "b", "c"]
+    assert [json.loads(line)["do"] for line in client.recv(1000).splitlines()] == ["a", "b", "c"]
 
 
 def test_two_clients_are_two_numbers_and_each_gets_its_own_answer(bench: Bench) -> None:
@@ -394,8 +394,8 @@ def test_a_folder_of_somebody_else_is_used_by_nobody(tmp_path: Path, monkeypatch
     folder.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     Bench(folder / "arm.sock").close()
-    left = socket.socket(socket.AF_UNIX)
-    left.bind(str(folder / "right.sock"))
+    first = socket.socket(socket.AF_UNIX)
+    first.bind(str(folder / "right.sock"))
     assert folder / "right.sock" in find_sockets("right")
     for spoil in (lambda: folder.chmod(0o777), lambda: monkeypatch.setattr(os, "getuid", lambda: 12345)):
         spoil()
@@ -404,7 +404,7 @@ def test_a_folder_of_somebody_else_is_used_by_nobody(tmp_path: Path, monkeypatch
         assert folder / "right.sock" not in find_sockets("right")
         assert str(folder) in str(foreign_folders()[0])
         folder.chmod(0o700)
-    left.close()
+    first.close()
 
 
 def test_a_folder_that_is_a_link_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -488,10 +488,10 @@ def test_a_program_of_somebody_else_moves_the_arm_in_ten_lines(served: Bench, ce
 
 
 def test_a_connection_that_breaks_while_its_motion_runs_stops_the_arm(served: Bench, cell: Cell) -> None:
-    one = served.client()
-    one.sendall(b'{"do": "move_joints", "q_rad": [0.6, -0.3, 0.5]}\n')
-    assert served.answer(one)["ok"]
-    one.close()
+    client = served.client()
+    client.sendall(b'{"do": "move_joints", "q_rad": [0.6, -0.3, 0.5]}\n')
+    assert served.answer(client)["ok"]
+    client.close()
     served.poll(3)
     assert cell.mode is Mode.STOPPING
 
@@ -500,9 +500,9 @@ def test_the_rows_before_a_fault_fit_into_one_answer(served: Bench, cell: Cell) 
     cell.run(0.6)
     cell.inject("lost_wire", "encoder", channel=0)
     cell.until_fault(0.02)
-    one = served.client()
-    one.sendall(b'{"do": "fault_cycles"}\n')
-    assert served.answer(one)["ok"]
+    client = served.client()
+    client.sendall(b'{"do": "fault_cycles"}\n')
+    assert served.answer(client)["ok"]
 
 
 def test_a_runtime_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:

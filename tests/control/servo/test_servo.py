@@ -36,72 +36,72 @@ def moving(q: float, speed: float) -> SetPoint:
 
 
 def test_voltage_is_what_resistance_and_back_emf_need_plus_what_the_error_adds() -> None:
-    one = servo(OutputMode.VOLTAGE, torque_Nm=6.0)
-    one.update(moving(0.51, 0.2), [0.5], [0.2], knows_pose=True)
-    assert one.output == [pytest.approx(6.0 / 3.0 * 0.3 + 3.0 * 0.2 + 100.0 * 0.01)]
-    assert one.volts == one.output
+    first = servo(OutputMode.VOLTAGE, torque_Nm=6.0)
+    first.update(moving(0.51, 0.2), [0.5], [0.2], knows_pose=True)
+    assert first.output == [pytest.approx(6.0 / 3.0 * 0.3 + 3.0 * 0.2 + 100.0 * 0.01)]
+    assert first.volts == first.output
 
 
 def test_the_current_limit_is_a_range_of_voltages_about_the_back_emf() -> None:
-    one = servo(OutputMode.VOLTAGE)
+    first = servo(OutputMode.VOLTAGE)
     for measured, expected in ((-9.0, 8.0 * 0.3 + 3.0), (9.0, -8.0 * 0.3 + 3.0)):
-        one.update(at_rest((0.0,)), [measured], [1.0], knows_pose=True)
-        assert one.output == [pytest.approx(expected)]
+        first.update(at_rest((0.0,)), [measured], [1.0], knows_pose=True)
+        assert first.output == [pytest.approx(expected)]
 
 
 def test_homing_runs_with_a_part_of_the_current() -> None:
-    one = servo(OutputMode.VOLTAGE)
-    one.update(at_rest((1.0,)), [0.0], [0.0], knows_pose=False, current_fraction=0.5)
-    assert one.output == [pytest.approx(4.0 * 0.3)]
+    first = servo(OutputMode.VOLTAGE)
+    first.update(at_rest((1.0,)), [0.0], [0.0], knows_pose=False, current_fraction=0.5)
+    assert first.output == [pytest.approx(4.0 * 0.3)]
 
 
 def test_the_supply_is_never_exceeded_however_fast_the_motor_is_driven() -> None:
-    one = servo(OutputMode.VOLTAGE)
-    one.update(at_rest((9.0,)), [0.0], [100.0], knows_pose=True)
-    assert one.output == [24.0]
+    first = servo(OutputMode.VOLTAGE)
+    first.update(at_rest((9.0,)), [0.0], [100.0], knows_pose=True)
+    assert first.output == [24.0]
 
 
 def test_current_mode_commands_amperes_within_the_limit_and_implies_volts() -> None:
-    one = servo(OutputMode.CURRENT, torque_Nm=6.0)
-    one.update(moving(0.51, 0.2), [0.5], [0.2], knows_pose=True)
-    assert one.output == [pytest.approx(6.0 / 3.0 + 100.0 * 0.01)]
-    assert one.volts == [pytest.approx(one.output[0] * 0.3 + 3.0 * 0.2)]
-    one.update(at_rest((5.0,)), [0.0], [0.0], knows_pose=True)
-    assert one.output == [8.0]
+    first = servo(OutputMode.CURRENT, torque_Nm=6.0)
+    first.update(moving(0.51, 0.2), [0.5], [0.2], knows_pose=True)
+    assert first.output == [pytest.approx(6.0 / 3.0 + 100.0 * 0.01)]
+    assert first.volts == [pytest.approx(first.output[0] * 0.3 + 3.0 * 0.2)]
+    first.update(at_rest((5.0,)), [0.0], [0.0], knows_pose=True)
+    assert first.output == [8.0]
 
 
 def test_position_mode_passes_the_set_point_on_and_the_volts_as_feed_forward() -> None:
-    one = servo(OutputMode.POSITION, torque_Nm=6.0)
-    one.update(moving(0.51, 0.2), [0.1], [9.0], knows_pose=True)
-    assert one.output == [0.51]
-    assert one.feedforward_V == [pytest.approx(6.0 / 3.0 * 0.3 + 3.0 * 0.2)]
-    one.update(moving(0.51, 20.0), [0.1], [9.0], knows_pose=True)
-    assert one.feedforward_V == [24.0]
+    first = servo(OutputMode.POSITION, torque_Nm=6.0)
+    first.update(moving(0.51, 0.2), [0.1], [9.0], knows_pose=True)
+    assert first.output == [0.51]
+    assert first.feedforward_V == [pytest.approx(6.0 / 3.0 * 0.3 + 3.0 * 0.2)]
+    first.update(moving(0.51, 20.0), [0.1], [9.0], knows_pose=True)
+    assert first.feedforward_V == [24.0]
 
 
 @pytest.mark.parametrize("mode", [OutputMode.VOLTAGE, OutputMode.CURRENT, OutputMode.POSITION])
 def test_without_a_known_pose_gravity_is_left_to_the_integral(mode: OutputMode) -> None:
-    one = servo(mode, torque_Nm=1000.0)
-    one.update(at_rest((0.5,)), [0.5], [0.0], knows_pose=False)
-    assert one.output == [0.5 if mode is OutputMode.POSITION else 0.0]
-    assert one.feedforward_V == [0.0]
+    first = servo(mode, torque_Nm=1000.0)
+    first.update(at_rest((0.5,)), [0.5], [0.0], knows_pose=False)
+    assert first.output == [0.5 if mode is OutputMode.POSITION else 0.0]
+    assert first.feedforward_V == [0.0]
 
 
 def test_a_reset_forgets_the_integral() -> None:
-    one = servo(OutputMode.VOLTAGE, kp=0.0, ki=100.0)
+    first = servo(OutputMode.VOLTAGE, kp=0.0, ki=100.0)
     for _ in range(10):
-        one.update(at_rest((0.1,)), [0.0], [0.0], knows_pose=True)
-    wound_up = one.output[0]
-    one.reset()
-    one.update(at_rest((0.1,)), [0.0], [0.0], knows_pose=True)
-    assert one.output[0] == pytest.approx(wound_up / 10)
+        first.update(at_rest((0.1,)), [0.0], [0.0], knows_pose=True)
+    wound_up = first.output[0]
+    first.reset()
+    first.update(at_rest((0.1,)), [0.0], [0.0], knows_pose=True)
+    assert first.output[0] == pytest.approx(wound_up / 10)
 
 
 def test_silence_is_0_V_everywhere() -> None:
-    one = servo(OutputMode.POSITION, torque_Nm=6.0)
-    one.update(moving(0.5, 0.2), [0.1], [0.0], knows_pose=True)
-    one.silence()
-    assert (one.output, one.feedforward_V, one.volts) == ([0.0], [0.0], [0.0])
+    first = servo(OutputMode.POSITION, torque_Nm=6.0)
+    first.update(moving(0.5, 0.2), [0.1], [0.0], knows_pose=True)
+    first.silence()
+    assert (first.output, first.feedforward_V, first.volts) == ([0.0], [0.0], [0.0])
 
 
 def test_the_payloads_torque_is_that_of_the_dynamics_with_this_payload() -> None:

@@ -108,9 +108,9 @@ def test_an_arm_of_nothing_but_geometry_is_shown(capsys: pytest.CaptureFixture[s
     assert "reach:" in said
     assert "missing: [[drive]] of joints 1, 2, 3, 4, 5, 6, 7" in said
     assert main(["arm", str(ARMS / "panda.toml"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["figures"]["payload"] is None
-    assert found["figures"]["joints"][0]["torque_Nm"] is None
+    content = json.loads(capsys.readouterr().out)
+    assert content["figures"]["payload"] is None
+    assert content["figures"]["joints"][0]["torque_Nm"] is None
 
 
 def test_every_arm_with_some_keys_less_is_shown(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[no-untyped-def]

@@ -80,11 +80,11 @@ def test_a_survey_finds_boards_that_changed_places_signs_and_a_joint_that_is_stu
         (joint, found.board, found.motor_direction, found.encoder_direction)
         for joint, found in sorted(outcome.wiring.joints.items())
     ] == [(1, "vesc2", 1, 1), (2, "vesc1", -1, -1)]
-    said = said_of(outcome)
-    assert 'joint 1: SWAPPED MOTOR: board "vesc2" (output 1) moves it, draft board "vesc1" (output 1)' in said
-    assert "joint 2: REVERSED MOTOR" in said
-    assert "joint 2: REVERSED ENCODER" in said
-    assert 'board "vesc3" (output 1) (joint 3 in the draft): STUCK JOINT' in said
+    sentences = said_of(outcome)
+    assert 'joint 1: SWAPPED MOTOR: board "vesc2" (output 1) moves it, draft board "vesc1" (output 1)' in sentences
+    assert "joint 2: REVERSED MOTOR" in sentences
+    assert "joint 2: REVERSED ENCODER" in sentences
+    assert 'board "vesc3" (output 1) (joint 3 in the draft): STUCK JOINT' in sentences
 
 
 def test_a_joint_that_swings_back_onto_the_switch_which_it_left_goes_on_to_its_other_end(tmp_path: Path) -> None:

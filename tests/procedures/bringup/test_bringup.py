@@ -269,9 +269,9 @@ def test_the_draft_is_the_one_that_is_wrong_about_the_stops_and_the_index(tmp_pa
     )
     outcome, journal = brought(tmp_path, draft=draft, real=real, options=BringupOptions((3,), None, 0.6, True))
     drive = new_arm(outcome, journal, draft).drive(3)
-    said = said_of(outcome)
-    assert "INDEX MOVED" in said
-    assert "END STOPS" in said
+    sentences = said_of(outcome)
+    assert "INDEX MOVED" in sentences
+    assert "END STOPS" in sentences
     assert drive.home is not None
     assert drive.home.index_rad == pytest.approx(home.index_rad, abs=8e-3)  # as well as the angle was read
     assert drive.joint_lower_rad == pytest.approx(0.55 + 0.02, abs=8e-3)
@@ -385,9 +385,9 @@ class Sinking:
 
 
 def test_an_index_pulse_that_is_met_twice_is_no_turn() -> None:
-    found = JointMeasurements()
-    measuring.measure_index_spacing(Sinking(), found)  # type: ignore[arg-type]
-    assert found.spacings_count == [2048, 2049]
+    measured = JointMeasurements()
+    measuring.measure_index_spacing(Sinking(), measured)  # type: ignore[arg-type]
+    assert measured.spacings_count == [2048, 2049]
 
 
 def draft_file(tmp_path: Path) -> Path:

@@ -53,10 +53,10 @@ def test_the_age_of_the_angles_is_not_taken_for_a_time_of_the_capture() -> None:
     tau, tips = captured()
     late = align(ARM, JointMotion.of(log_of(), None)[0], tau, BodyTrack(tips))
     log, said = on_one_clock(ARM, log_of(), None)
-    found = align(ARM, JointMotion.of(log, None)[0], tau, BodyTrack(tips))
+    alignment = align(ARM, JointMotion.of(log, None)[0], tau, BodyTrack(tips))
     true_s = CAPTURE_s - RUNS[0].t_s[0]
     assert late.offset_s - true_s > 1e-3  # half a cycle or more, and the way of the report
-    assert found.offset_s - true_s == pytest.approx(0.0, abs=6e-5)
+    assert alignment.offset_s - true_s == pytest.approx(0.0, abs=6e-5)
     assert "angles 1." in said[0]
 
 

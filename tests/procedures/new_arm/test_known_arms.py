@@ -135,9 +135,9 @@ def test_bringup_finds_servos_of_one_type_whose_ids_are_in_another_order(tmp_pat
     first, second, *rest = draft.boards
     swapped = (dataclasses.replace(first, address=second.address), dataclasses.replace(second, address=first.address), *rest)
     outcome, _ = brought(tmp_path, draft, SURVEY, real=dataclasses.replace(draft, boards=swapped))
-    said = said_of(outcome)
-    assert 'joint 1: SWAPPED MOTOR: board "shoulder_lift" (output 1) moves it' in said
-    assert 'joint 2: SWAPPED MOTOR: board "shoulder_pan" (output 1) moves it' in said
+    sentences = said_of(outcome)
+    assert 'joint 1: SWAPPED MOTOR: board "shoulder_lift" (output 1) moves it' in sentences
+    assert 'joint 2: SWAPPED MOTOR: board "shoulder_pan" (output 1) moves it' in sentences
 
 
 @pytest.mark.parametrize(("joint", "teeth"), [(2, 1), pytest.param(3, -1, marks=pytest.mark.nightly)])

@@ -87,13 +87,13 @@ def test_a_session_by_script_is_interrupted_resumed_and_calibrates(files: Path, 
     events = [json.loads(line)["event"] for line in (files / "s" / "journal.jsonl").read_text().splitlines()]
     assert [events.count(name) for name in ("redo", "skip", "bad", "note", "resumed")] == [1, 1, 1, 1, 1]
 
-    found = identify(problem_of(arm, points))
+    identification = identify(problem_of(arm, points))
     true_dh = np.array(arm.dh)
     for name, deviation in load_scenario(files / "quick.toml").drawn_deviations(4).items():
         link, key = name[4:].split("_")[:2]
         true_dh[int(link) - 1, ["d", "theta", "L", "alpha"].index(key)] += deviation
     q_rad = np.random.default_rng(1).uniform([-0.3, -1.2, -0.1], [0.3, -0.8, 0.4], (50, 3))  # over the board
-    true, calibrated = (ForwardKinematics(arm.with_dh(dh)).tips(q_rad) for dh in (true_dh, found.dh))
+    true, calibrated = (ForwardKinematics(arm.with_dh(dh)).tips(q_rad) for dh in (true_dh, identification.dh))
     off_m = np.linalg.norm(calibrated - true, axis=1)
     before_m = np.linalg.norm(ForwardKinematics(arm).tips(q_rad) - true, axis=1)
     assert before_m.mean() > 15e-3
