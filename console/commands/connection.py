@@ -1,11 +1,11 @@
 """Shared by the client commands: the socket of the selected arm."""
 
 import argparse
-import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from console.commands.progress import to_type
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import Cell, load_cell
@@ -27,7 +27,7 @@ def listening(args: argparse.Namespace) -> ArmClient:
         return client
     if args.socket:
         return ArmClient(SocketChannel(Path(args.socket)))
-    served_by = shlex.join(["armwright", "serve", "--arm", str(args.arm)])
+    served_by = to_type("serve", "--arm", args.arm)
     return ArmClient(SocketChannel(default_path(load_arm(args.arm).name), served_by=served_by))
 
 

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 from calib.errors import CalibrationError
-from console.commands.progress import Bar
+from console.commands.progress import Bar, to_type
 from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm
@@ -170,7 +170,7 @@ def run_mock(args: argparse.Namespace) -> int:
         with RealTimeRig(args.arm, args.scenario) as rig:
             file = Path(folder) / f"{arm.name}.toml"
             save_arm(wired_to(arm, rig), file)
-            return _wait(rig, f"A mock of arm {arm.name!r} is", args.scenario, f"--arm {file}")
+            return _wait(rig, f"A mock of arm {arm.name!r} is", args.scenario, "--arm", file)
 
 
 def _cell(args: argparse.Namespace, folder: Path) -> int:
@@ -178,11 +178,12 @@ def _cell(args: argparse.Namespace, folder: Path) -> int:
     with RealTimeCell(args.cell, args.scenario) as rig:
         wired = cell.with_arms([wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms])
         what = f"Mocks of the arms of cell {cell.name!r} ({', '.join(cell.names)}) are"
-        return _wait(rig, what, args.scenario, f"--cell {save_cell(wired, folder)}")
+        return _wait(rig, what, args.scenario, "--cell", save_cell(wired, folder))
 
 
-def _wait(rig: MockProcess, what: str, scenario: str, option: str) -> int:
-    sys.stdout.write(f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  armwright serve {option}\n")
+def _wait(rig: MockProcess, what: str, scenario: str, option: str, file: Path) -> int:
+    line = to_type("serve", option, file)
+    sys.stdout.write(f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  {line}\n")
     sys.stdout.flush()
     try:
         status = rig.wait_for_end(None)

@@ -10,6 +10,7 @@ from typing import Final
 import tomli_w
 
 from calib.arm_import import SerialArm, read_arm
+from console.commands.progress import to_type
 from control.errors import ArmError, ArmFileError
 from control.files import NotWritten, write_whole
 from control.model.description import parse_arm, supplied_text
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     sys.stdout.write(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}\n")
     for note in new.notes:
         sys.stdout.write(f"  {note}\n")
-    sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
+    sys.stdout.write(f"Next: {to_type('arm', out)}; {to_type('mock', '--arm', out)}\n")
     return 0
 
 
@@ -97,7 +98,7 @@ def _like(args: argparse.Namespace, out: Path) -> int:
     arm = parse_arm(text, out)
     _write(out, text)
     sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {args.like}\n")
-    sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
+    sys.stdout.write(f"Next: {to_type('arm', out)}; {to_type('mock', '--arm', out)}\n")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import shlex
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,6 +15,11 @@ from control.server.channel import Message, RuntimeGone
 from control.server.client import ArmClient
 
 LINES = 10  # of a job, without a terminal
+
+
+def to_type(*words: object) -> str:
+    """The command line of these words, as a shell takes it."""
+    return shlex.join(["armwright", *map(str, words)])
 
 
 def warn(sentences: Iterable[str]) -> None:

@@ -185,7 +185,7 @@ class SessionScreen(Screen[None]):
         decision = {"accepted": is_accepted, "decided_unix_s": round(time.time(), 3)}
         write_whole(folders[-1] / "decision.json", json.dumps(decision) + "\n")
         text = (
-            f"Accepted: `armwright serve --arm {folders[-1] / 'arm.toml'}` runs the arm with it."
+            f"Accepted: `armwright serve --arm {shlex.quote(str(folders[-1] / 'arm.toml'))}` runs the arm with it."
             if is_accepted
             else "Not accepted; the points are kept. Escape goes back."
         )

@@ -3,11 +3,13 @@
 import argparse
 import json
 import math
+import shlex
 from pathlib import Path
 
 import pytest
 
 from console.commands.progress import answer
+from console.main import main
 from control.plain_text import aligned
 
 
@@ -34,3 +36,13 @@ def test_without_json_the_words_come_first_and_then_where_the_files_are(capsys: 
     assert capsys.readouterr().out == "in words\n\n  report  out/report.html\n"
     answer(argparse.Namespace(json=False), {}, "in words")
     assert capsys.readouterr().out == "in words\n"
+
+
+def test_a_command_that_is_printed_can_be_typed_whatever_the_file_is_called(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "--out", "my läb's arm.toml", "--joints", "3", "--yes"]) == 0
+    printed = capsys.readouterr().out.splitlines()[-1].removeprefix("Next: ").partition("; ")[0]
+    assert shlex.split(printed) == ["armwright", "arm", "my läb's arm.toml"]
+    assert main(shlex.split(printed)[1:]) == 0

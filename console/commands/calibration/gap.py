@@ -15,7 +15,7 @@ from calib.gap.words import in_words
 from calib.gap.workflow import find_gap_in, read_recordings, require_effects, require_free, write_gap
 from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar, answer, warn
+from console.commands.progress import Bar, answer, to_type, warn
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -63,10 +63,8 @@ def _say(args: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: b
     files = {"report": out / "report.html", "model": out / "arm.toml"}
     answer(args, gap_content(outcome.finding), "\n".join(in_words(outcome.finding)), files)
     if has_points and not args.json:
-        sys.stdout.write(
-            f"Next: ask other points whether to use it: armwright verify --arm {out / 'arm.toml'} --against {args.arm}"
-            " --points OTHERS.csv\n"
-        )
+        line = to_type("verify", "--arm", out / "arm.toml", "--against", args.arm, "--points", "OTHERS.csv")
+        sys.stdout.write(f"Next: ask other points whether to use it: {line}\n")
 
 
 def _record(args: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int:

@@ -4,7 +4,6 @@
 """
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.spreadsheet import ANGLES, LENGTHS, Unclear, Understood, read_sheet, understood
 from calib.points.writer import write_points
 from calib.results import entries, input_file, made_today
-from console.commands.progress import answer, warn
+from console.commands.progress import answer, to_type, warn
 from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm
@@ -43,11 +42,11 @@ def run_import_points(args: argparse.Namespace) -> int:
     imported = _asked(args, columns)
     write_points(file, imported.points)
     named = [f"{ours}={name}" for ours, name in columns.items()]
-    line = ["armwright", "import-points", args.file, "--arm", args.arm, "--out", args.out]
+    line = ["import-points", args.file, "--arm", args.arm, "--out", args.out]
     line += [*(["--columns", *named] if named else []), *(["--angles", args.angles] if args.angles else [])]
     line += ["--lengths", args.lengths] if args.lengths else []
     rows = file.read_text(encoding="utf-8").splitlines()[: SHOWN + 1]
-    sys.stdout.write("\n".join([*imported.in_words, "", *rows, "...", f"written: {file}", "Again: " + shlex.join(line)]) + "\n")
+    sys.stdout.write("\n".join([*imported.in_words, "", *rows, "...", f"written: {file}", "Again: " + to_type(*line)]) + "\n")
     return 0
 
 

@@ -25,7 +25,7 @@ from calib.trust.prediction import Path as TaskPath
 from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames, length_m, orientation_noise_rad, quantity
-from console.commands.progress import Bar, answer, warn
+from console.commands.progress import Bar, answer, to_type, warn
 from control.model.arm import Arm
 from control.model.cell import load_cell
 from control.model.description import load_arm
@@ -153,7 +153,7 @@ def run_plan_path(args: argparse.Namespace) -> int:
     tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
     points_files = (input_file(Path(name), "points") for name in args.points)
     path_files.write_plan(out, plan, tasks, made_today(input_file(Path(args.file), "way-points"), *points_files))
-    run_it = f"run it           armwright script {out / 'script.txt'}"
+    run_it = f"run it           {to_type('script', out / 'script.txt')}"
     answer(args, path_files.plan_json(plan, tasks), "\n".join((*path_files.sentences(plan, tasks), "", run_it)))
     return 0
 

@@ -14,7 +14,7 @@ from calib.report.report import Verification
 from calib.validation.verify import comparison_text
 from console.commands.calibration.options import wires_at
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar, answer
+from console.commands.progress import Bar, answer, to_type
 from control.errors import ArmError
 from control.files import write_whole
 from control.model import table as tables
@@ -98,7 +98,7 @@ def _real(args: argparse.Namespace, pair: ModelPair) -> ArmAtHold:
     if not pair.calibrated.has_gears_of(runtime_model):
         raise ArmError(
             f"{pair.calibrated.arm.path} contains effects between encoders and joints that the runtime does not"
-            f" correct: start `armwright serve --arm {pair.calibrated.arm.path}`"
+            f" correct: start `{to_type('serve', '--arm', pair.calibrated.arm.path)}`"
         )
     if status["camera_m"] is None:
         raise ArmError(f"no tip from the camera{camera_said(client)}: verification needs it (docs/camera.md)")
