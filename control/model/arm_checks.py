@@ -91,11 +91,12 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
     if not drive.joint_lower_rad < drive.joint_upper_rad:
         got = f"{drive.joint_upper_rad} (joint_lower_rad is {drive.joint_lower_rad})"
         raise Rejected((*path, "joint_upper_rad"), "more than joint_lower_rad", got)
-    if drive.home is not None:
+    if drive.home is not None and drive.home.switch == "own":  # a limit switch is at the end of the range, or beyond
         for key, angle in (("switch_rad", drive.home.switch_rad), ("index_rad", drive.home.index_rad)):
             if not drive.joint_lower_rad <= angle <= drive.joint_upper_rad:
                 expected = f"an angle within the joint's limits, {drive.joint_lower_rad} to {drive.joint_upper_rad} rad"
                 raise Rejected((*path, "home", key), expected, str(angle))
+    if drive.home is not None:
         _check_home_count(drive, drive.home, path)
     if drive.motor_counts_per_rev is not None and (drive.encoder_on == "motor" or drive.board):
         expected = 'none: it is of a second encoder at a reference motor board, beside encoder_on = "joint"'

@@ -197,9 +197,12 @@ def test_homing_by_a_switch_of_the_other_end_ends_there() -> None:
         assert cell.rig.joint_rad()[2] > -0.5 - MARGIN_rad
 
 
-def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other() -> None:
+@pytest.mark.parametrize("lower_rad", [-0.6, -0.48])
+def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other(lower_rad: float) -> None:
+    """The range may end before the switch, as `bringup` sets it."""
     arm = with_switches(LimitSwitches(lower="low", lower_rad=-0.5))
-    arm = with_drive(arm, 3, home=Home(-0.5, -0.51, switch="lower"))
+    arm = with_drive(arm, 3, home=Home(-0.5, -0.51, switch="lower"), joint_lower_rad=lower_rad)
+    check_arm(arm)
     with open_cell(scenario((0.0, 0.2, -0.3, 0.0), homed=False), arm) as cell:
         cell.client.enable()
         cell.client.home()

@@ -100,6 +100,7 @@ def test_a_joint_that_swings_back_onto_the_switch_which_it_left_goes_on_to_its_o
     outcome, arm = brought(tmp_path, draft, BringupOptions((1,), None, 0.3, True))
     assert outcome.problems == []
     assert arm.drives[0].joint_upper_rad == pytest.approx(0.4, abs=0.01)
+    check_arm(arm)
 
 
 def test_mixed_boards_are_refused_before_anything_moves(tmp_path: Path) -> None:
@@ -167,3 +168,4 @@ def test_a_joint_turns_back_at_its_limit_switches_and_keeps_in_front_of_them(tmp
     found = arm.drives[2]
     assert found.joint_upper_rad == pytest.approx(upper_rad - 0.02, abs=0.01)
     assert found.joint_lower_rad == pytest.approx(0.45 if is_alone else lower_rad + 0.02, abs=0.01)
+    check_arm(arm)
