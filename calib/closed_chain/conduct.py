@@ -20,7 +20,7 @@ from calib.errors import SessionError
 from calib.points.writer import DISTANCE, Record
 from calib.session.conversation import Conversation, Message, Recorded, SessionQuestion, SmallMove, Talk, jogged
 from calib.session.folder import SessionFolder
-from calib.session.moves import Geometry, JogPort
+from calib.session.moves import ArmGeometry, JogPort
 from calib.session.plan import Seating, SessionPlan, Target
 from calib.session.residual_watch import NOISE_m, RecordVerdict, weights_of
 from calib.session.take import SessionSettings, take, wait_for_rest
@@ -51,7 +51,7 @@ class PairStation:
 
     names: tuple[str, str]
     arms: tuple[JogPort, JogPort]
-    geometry: tuple[Geometry, Geometry]
+    geometry: tuple[ArmGeometry, ArmGeometry]
     together: Callable[[Poses, float], None]
     room: SharedRoom
     watch: ContactWatch

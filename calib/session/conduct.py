@@ -30,7 +30,7 @@ from calib.session.conversation import (
     jogged,
 )
 from calib.session.folder import SessionFolder
-from calib.session.moves import ClearPaths, Geometry, JogPort, NoClearPath, TipSensor, Transfers, Vector
+from calib.session.moves import ArmGeometry, ClearPaths, JogPort, NoClearPath, TipSensor, Transfers, Vector
 from calib.session.plan import FREE, Board, SessionPlan, Target
 from calib.session.residual_watch import RecordVerdict, ResidualWatch, TipObservation
 from calib.session.take import SessionSettings, take
@@ -175,7 +175,7 @@ class Station:
     """
 
     arm: JogPort
-    geometry: Geometry
+    geometry: ArmGeometry
     boards: Boards
     watch: ResidualWatch
     hand: AutomaticHand | None = None

@@ -17,7 +17,7 @@ from typing import Protocol
 from calib.errors import RegistrationError, SessionError
 from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder, continues
-from calib.session.moves import ArmPort, Geometry, Vector
+from calib.session.moves import ArmGeometry, ArmPort, Vector
 from calib.session.plan import AFTER, SessionState, Target, TargetEvent
 from calib.session.residual_watch import RecordVerdict
 from control.errors import ArmError
@@ -136,7 +136,7 @@ WINDOW_s = 0.02
 AXES = "xyz"
 
 
-def jogged(jog: SmallMove, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
+def jogged(jog: SmallMove, arm: ArmPort, geometry: ArmGeometry) -> Sequence[float]:
     """Joint angles after the step. SessionError for an invalid step, ArmError if it is out of reach."""
     if jog.arm:
         raise SessionError(f"jog: this session has one arm: expected an axis and a step, got {jog.arm!r} first")

@@ -110,21 +110,8 @@ class TipSensor(Protocol):
         """Mean over duration_s."""
 
 
-class Geometry(Protocol):
-    """The arm's nominal geometry; implemented by `calib.session.moves.geometry`."""
-
-    def tip(self, q_rad: Sequence[float]) -> Vector:
-        """Tip [m] in the base frame."""
-
-    def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
-        """Joint angles for a tip position, on the branch nearest to q_near; ArmError if there are none."""
-
-    def posture(self, q_rad: Sequence[float]) -> Sequence[float]:
-        """Posture near which an arm at q_rad approaches a point."""
-
-
 class ArmGeometry:
-    """`calib.session.moves.ports.Geometry` of an arm."""
+    """The nominal geometry of an arm."""
 
     def __init__(self, arm: Arm) -> None:
         self._inverse = InverseKinematics(arm)
@@ -135,11 +122,11 @@ class ArmGeometry:
         return self._inverse.kinematics.tip(*q_rad)
 
     def nearest(self, point: Vector, q_near: Sequence[float]) -> Sequence[float]:
-        """Joint angles within the limits for a tip position; ArmError if there are none."""
+        """Joint angles within the limits for a tip position, on the branch nearest to q_near; ArmError if there are none."""
         return self._inverse.nearest(point, q_near)
 
     def posture(self, q_rad: Sequence[float]) -> Sequence[float]:
-        """Where the arm is; for an arm without named branches its rest pose, whatever a hand has made of its free joints."""
+        """Near which to approach a point: where the arm is; without named branches its rest pose."""
         return q_rad if self._inverse.has_branches or self._rest is None else self._rest
 
 
@@ -162,7 +149,7 @@ class NoClearPath(ArmError):
 class ClearPaths:
     """Finds collision-free paths for one arm."""
 
-    def __init__(self, arm: Arm, geometry: Geometry) -> None:
+    def __init__(self, arm: Arm, geometry: ArmGeometry) -> None:
         self._arm, self._geometry = arm, geometry
         cavities = [] if arm.table is None else [*board_cavities(arm.table).values()]
         self._reach_m = max((float(np.hypot(x, y)) for x, y, _ in cavities), default=0.0) + EDGE_m
@@ -236,7 +223,7 @@ class Transfers:
     """Moves the arm from above one point to above the next."""
 
     def __init__(
-        self, geometry: Geometry, arm: ArmPort, approach_m: float, window_s: float, ways: ClearPaths | None = None
+        self, geometry: ArmGeometry, arm: ArmPort, approach_m: float, window_s: float, ways: ClearPaths | None = None
     ) -> None:
         """`ways`: finds paths around the board; without it, every path is assumed to be clear."""
         self._geometry, self._arm, self._ways = geometry, arm, ways
@@ -306,7 +293,7 @@ SIDES = 8
 
 
 def above_points(
-    geometry: Geometry, tip_m: Vector, normal: Vector, height_m: float, q_near: Sequence[float], count: int
+    geometry: ArmGeometry, tip_m: Vector, normal: Vector, height_m: float, q_near: Sequence[float], count: int
 ) -> tuple[Vector, ...]:
     """Start points of `count` (1 or 2) approaches to tip_m, each height_m above the board (base frame).
 
@@ -348,7 +335,7 @@ def _start(tip_m: Vector, normal: Vector, across: Vector, height_m: float) -> Ve
     return x, y, z
 
 
-def _turns(geometry: Geometry, start: Vector, at_point: Sequence[float]) -> tuple[float, ...]:
+def _turns(geometry: ArmGeometry, start: Vector, at_point: Sequence[float]) -> tuple[float, ...]:
     """Travel of each joint from start to the point [rad]."""
     return tuple(b - a for a, b in zip(geometry.nearest(start, at_point), at_point, strict=True))
 

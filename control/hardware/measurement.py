@@ -6,22 +6,15 @@ Plain floats: this runs every cycle.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from control.model.effects import COUPLED, COUPLED_TO
-from control.model.joint_map import Unwrapper
+from control.model.joint_map import JointMap, Unwrapper
 
 # Enough to smooth steps of one count; each millisecond more costs 5 degrees of phase margin.
 SPEED_FILTER_S = 0.001
 LONGEST_GAP_S = 1.0  # between two reports; after a longer gap, or a step back in time, the speed filter is reset
 SHORTEST_s = 1e-6  # between two counts
 DIRECTION_STEP_rad = 2e-4  # a smaller motion is dither at a set-point, not an approach; nor is one count
-
-
-class CountMap(Protocol):
-    """Maps unwrapped counts of one joint to radians."""
-
-    def radians(self, count: int) -> float: ...
 
 
 class Measurement:
@@ -34,7 +27,7 @@ class Measurement:
 
     def __init__(
         self,
-        maps: Sequence[CountMap],
+        maps: Sequence[JointMap],
         counter_bits: Sequence[int],
         fastest_rad_s: Sequence[float] = (),
         unseen_s: Sequence[float] = (),
@@ -143,7 +136,7 @@ class MotorLeads:
     """
 
     def __init__(
-        self, maps: Sequence[CountMap], motor_maps: Sequence[CountMap | None], bits: Sequence[int], belt_ratio: float = 0.0
+        self, maps: Sequence[JointMap], motor_maps: Sequence[JointMap | None], bits: Sequence[int], belt_ratio: float = 0.0
     ) -> None:
         """`motor_maps`: of the motors' own encoders, None where a joint has no second one; `bits`: of the joints' counters.
 

@@ -13,6 +13,7 @@ from msgspec import UNSET
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
 from control.loop.jogging import JogRequest, JointSpeeds, JointStep, TipStep, TipVelocity
+from control.loop.neighbours import Neighbours
 from control.loop.runtime import Runtime
 from control.model.arm import Arm
 from control.model.fingerprint import content_of, fingerprint_of
@@ -54,14 +55,6 @@ class Listener(Protocol):
     def hung_up(self, client: int) -> None: ...
 
 
-class OtherArms(Protocol):
-    """The other arms of a cell."""
-
-    def require_clear(self, motion: Motion) -> None:
-        """MotionError if a motion that begins now meets one of them."""
-        ...
-
-
 class Requests:
     """Serves the requests of all clients of one runtime, and knows which of them is in control."""
 
@@ -74,7 +67,7 @@ class Requests:
         self._right = ControlRight()
         self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
-        self.beside: OtherArms | None = None
+        self.beside: Neighbours | None = None
         self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
             "arm": lambda request, client: self._arm,
