@@ -52,8 +52,8 @@ def known() -> Arm:
 
 @pytest.fixture(scope="module")
 def log(known: Arm) -> Log:
-    """Runs of 3 s: enough for friction that grows with load."""
-    return motion_case(known, (entry("load_friction", 2, 0.15, np.random.default_rng(32)),), 32, seconds=3.0)
+    """Runs of 2 s: enough for friction that grows with load."""
+    return motion_case(known, (entry("load_friction", 2, 0.15, np.random.default_rng(32)),), 32, seconds=2.0)
 
 
 def test_play_in_poses_of_the_mock_arm_is_named_with_its_width() -> None:

@@ -99,7 +99,7 @@ def test_swapped_points_are_left_out_and_said_and_the_rest_is_answered() -> None
     assert any("are left out" in warning for warning in found.warnings)
 
 
-@pytest.mark.parametrize("rig", ["planar", "six"])
+@pytest.mark.parametrize("rig", ["planar", pytest.param("six", marks=pytest.mark.nightly)])
 def test_another_arm_with_nothing_hidden_is_named_nothing(rig) -> None:
     arm, points = designed(17, (), Design(rig=rig, free=24 if rig == "six" else 45, visits=5))
     found = find(arm, points)

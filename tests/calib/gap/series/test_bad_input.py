@@ -138,5 +138,5 @@ def test_runs_without_the_driver_end_in_an_answer_and_a_sentence() -> None:
         off = np.full_like(run.voltage_V, np.nan)
         return replace(run, voltage_V=off, current_A=np.zeros_like(run.current_A), is_commanded=True)
 
-    outcome = examine(ARM, changed(coasting))
+    outcome = examine(ARM, changed(coasting, Log(LOG.runs[:3])))
     assert any("voltage of joint 1" in sentence for sentence in outcome.warnings)
