@@ -89,9 +89,9 @@ def nobody_below() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def unrendered() -> Iterator[None]:
-    """Pictures of pages are drawn and not rendered, which takes most of a page's time: for modules whose claims are others.
+    """Pictures of pages are drawn and not rendered, which takes most of a page's time: for tests whose claims are others.
 
     Each kind of page is rendered in the test of what it shows.
     """

@@ -78,6 +78,7 @@ def test_a_gap_gives_its_effects_parameters() -> None:
     assert quantities_of(found) == {"backlash2.width_rad": Quantity(2e-3, 1e-4), "belt_coupling.ratio": Quantity(0.01, None)}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_calibrations_are_recorded_and_their_trend_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng, record, points = np.random.default_rng(1), tmp_path / "history.jsonl", tmp_path / "points.csv"
     tables = [REFERENCE_DH.copy() for _ in range(3)]

@@ -43,6 +43,7 @@ def loose_between_flanks():
     return last.arm, last.points
 
 
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize(
     ("made", "times_most"), [(lambda: from_afar(43), 1.2), (loose_between_flanks, 1.6)], ids=["tracker", "play"]
 )

@@ -54,7 +54,7 @@ def test_the_report_and_its_words(line: list[str], whole: tuple[Path, str], caps
     assert "never overwritten" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("whole", "unrendered")
+@pytest.mark.usefixtures("unrendered")
 def test_a_study_that_was_stopped_is_finished_and_another_one_refused(
     line: list[str], whole: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

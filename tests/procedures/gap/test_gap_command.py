@@ -33,6 +33,7 @@ def points(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(file, case(21, (Hidden("backlash", 1, 0.006),)))
 
 
+@pytest.mark.usefixtures("unrendered")  # tests/calib/gap/maps has such a page rendered
 def test_a_hidden_play_is_named_and_added_to_a_new_arm(points, tmp_path, capsys) -> None:
     assert main(["gap", "--points", str(points), "--out", str(tmp_path)]) == 0
     assert "Named: backlash on joint 1" in capsys.readouterr().out
@@ -47,6 +48,7 @@ def test_a_hidden_play_is_named_and_added_to_a_new_arm(points, tmp_path, capsys)
     assert "<svg" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_without_the_effect_in_the_list_the_answer_is_unknown(points, tmp_path, capsys) -> None:
     assert main(["gap", "--points", str(points), "--out", str(tmp_path), "--without", "backlash", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
