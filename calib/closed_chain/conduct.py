@@ -276,9 +276,7 @@ class ContactWatch:
         error_m = frozen(np.array([open_m, 0.0, 0.0]))
         if len(before) < FEWEST:
             return RecordVerdict(error_m)
-        innovation_m, spread_m2 = _predicted(problem)
-        off_sd = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
-        return RecordVerdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
+        return RecordVerdict.of(error_m, *_predicted(problem))
 
     def _contacts(self, seen: Sequence[_Seen]) -> Contacts:
         count = self._arms[0].joint_count

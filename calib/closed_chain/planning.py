@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -32,7 +31,7 @@ from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
-from control.motion.joint_limits import reach_m
+from control.motion.joint_limits import reach_m, reaches_m
 from control.safety.collision import ArmBody, least_gap, pairs_between
 
 MARGIN_m = 0.03  # beyond the cell's clearance: tips of uncalibrated arms are some 2 cm off
@@ -53,7 +52,7 @@ class SharedRoom:
         self._own_pairs = [_apart(body, q_rad) for body, q_rad in zip(self._bodies, self.rest_rad, strict=True)]
         self._least_m = cell.clearance_m + MARGIN_m
         self._backs = (_Back(pair[0].arm), _Back(pair[1].arm))
-        self._levers_m = [_levers_m(placed.arm) for placed in pair]
+        self._levers_m = [np.array(reaches_m(placed.arm)) for placed in pair]
 
     def is_clear(self, first_rad: Sequence[float], second_rad: Sequence[float]) -> bool:
         """Of a pose of both."""
@@ -109,14 +108,6 @@ class SharedRoom:
         arrive = ((), ((rest[0], goal_rad[1]),), ((goal_rad[0], rest[1]),))
         for first, last in product(leave, arrive):
             yield (*first, rest, *last, goal_rad)
-
-
-def _levers_m(arm: Arm) -> Array:
-    """(joints,): how far a part can be from each joint's axis, so how far it moves at most for a turn of 1 rad."""
-    lengths_m = [math.hypot(row.d_m, row.L_m) for row in arm.links]
-    lengths_m[-1] += math.hypot(*arm.tool.position_m)
-    beyond_m = np.cumsum(lengths_m[::-1])[::-1]
-    return frozen(beyond_m[[row.joint == "revolute" for row in arm.links]])
 
 
 def _apart(body: ArmBody, rest_rad: Sequence[float]) -> tuple[tuple[int, int], ...]:

@@ -340,14 +340,17 @@ def workspace_poses(
 ) -> Array:
     """Collision-free poses (m, n), m <= count, spread over the joints' ranges, with this tip height above floor and boards."""
     q = spread_poses(joint_box(arm), count, edge_share)
-    points = body_points(arm, q)
-    height_m = scaled_height_m(arm, height_m)
+    return np.asarray(q[is_clear_of(arm, body_points(arm, q), boards, scaled_height_m(arm, height_m))])
+
+
+def is_clear_of(arm: Arm, points: Array, boards: Iterable[PlacedBoard], height_m: float) -> Mask:
+    """Which poses of `body_points` are clear of the floor, their tips and what is over boards by this height."""
     lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + height_m
     clear = is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m)
     for board in boards:
         heights, is_over = heights_over_board(points, board)
         clear &= ~(is_over & (heights < height_m)).any(axis=1)
-    return np.asarray(q[clear])
+    return np.asarray(clear)
 
 
 def joined(parts: Collection[Points]) -> Points:

@@ -24,8 +24,7 @@ from calib.design.candidates import (
     boards_in_the_way,
     body_points,
     free_candidates,
-    heights_over_board,
-    is_above_floor,
+    is_clear_of,
     joined,
     named,
     placed_boards,
@@ -222,12 +221,7 @@ def clear_ways(arm: Arm, q_rad: Array, boards: Iterable[PlacedBoard]) -> Mask:
     first, second = np.triu_indices(m, 1)
     shares = np.linspace(0.0, 1.0, WAY_SAMPLES)[1:-1]
     between = q_rad[first, None] + shares[:, None] * (q_rad[second] - q_rad[first])[:, None]
-    points = body_points(arm, between.reshape(-1, q_rad.shape[1]))
-    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + WAY_HEIGHT_M
-    clear = is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m)
-    for board in boards:
-        heights, is_over = heights_over_board(points, board)
-        clear &= ~(is_over & (heights < WAY_HEIGHT_M)).any(axis=1)
+    clear = is_clear_of(arm, body_points(arm, between.reshape(-1, q_rad.shape[1])), boards, WAY_HEIGHT_M)
     ways = np.ones((m, m), dtype=np.bool_)
     ways[first, second] = ways[second, first] = clear.reshape(len(first), len(shares)).all(axis=1)
     return ways

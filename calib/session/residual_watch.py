@@ -42,6 +42,12 @@ class RecordVerdict:
     off_m: float = float("nan")
     off_sd: float = float("nan")
 
+    @classmethod
+    def of(cls, error_m: Array, innovation_m: Array, spread_m2: Array) -> RecordVerdict:
+        """By a prediction: the innovation (3,) and its covariance (3, 3)."""
+        off_sd = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
+        return cls(error_m, float(np.linalg.norm(innovation_m)), off_sd)
+
     @property
     def is_suspect(self) -> bool:
         """Whether the tip was probably not in its cavity."""
@@ -83,9 +89,7 @@ class ResidualWatch:
         on_its_board = sum(record.setup == new.setup for record in before)
         if len(before) < FEWEST_BEFORE or (new.is_on_unknown_board and on_its_board < FEWEST_ON_UNKNOWN):
             return RecordVerdict(error_m)
-        innovation_m, spread_m2 = self._predicted(before, new)
-        off_sd = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
-        return RecordVerdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
+        return RecordVerdict.of(error_m, *self._predicted(before, new))
 
     def _error_m(self, new: TipObservation) -> Array:
         if new.is_on_unknown_board:

@@ -141,14 +141,20 @@ def _place(out: str | None) -> Path:
     return path
 
 
-def _series(args: argparse.Namespace) -> tuple[Series, Sequence[int]]:
-    """The requested part of the file, and its joints (1-based)."""
+def whole_series(args: argparse.Namespace) -> Series:
+    """All of the file."""
     arm = load_arm(args.arm) if args.arm else None
     with Bar("read") as bar:
         series = read_log(Path(args.log), arm, lambda done: bar.advance("read", done))
     warn(series.notes)
     if not len(series):
         raise ArmError(f"{args.log}: empty recording: a header without cycles")
+    return series
+
+
+def _series(args: argparse.Namespace) -> tuple[Series, Sequence[int]]:
+    """The requested part of the file, and its joints (1-based)."""
+    series = whole_series(args)
     joints = _joints(args.joints, series.joint_count)
     return chosen(series, args.run, args.from_s, args.to_s), joints
 

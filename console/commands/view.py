@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from console.commands.connection import connected, connected_arms
-from console.commands.progress import Bar, warn
-from console.visualisation.reading import read_log
+from console.commands.progress import Bar
+from console.commands.recordings import whole_series
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
 from console.visualisation.snapshots import (
@@ -87,12 +87,7 @@ def _until_the_runtime_ends() -> Iterator[None]:
 
 
 def _recorded(args: argparse.Namespace) -> int:
-    wanted = load_arm(args.arm) if args.arm else None
-    with Bar("read") as bar:
-        whole = read_log(Path(args.log), wanted, lambda done: bar.advance("read", done))
-    warn(whole.notes)
-    if not len(whole):
-        raise ArmError(f"{args.log}: empty recording: a header without cycles")
+    whole = whole_series(args)
     shown = whole.arm or whole.cell
     if shown is None:
         raise ArmError(f"{args.log}: its arm is unknown: give it with --arm")

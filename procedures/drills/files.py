@@ -68,20 +68,30 @@ class FileDrill(Promise):
         return tuple(FileDrill(name, says, "files", GOES_ON, check=check) for name, says, check in rows)
 
 
-def _power_in_session(folder: Path) -> tuple[int, int]:
-    lost = 0
+def _failing(write: Callable[[int], None]) -> Iterator[tuple[int, bool]]:
+    """Have the power fail at each write in turn: the number of the write, and whether all were done before."""
     for fails_at in count():
-        path, known = folder / str(fails_at), dict[Key, Mark]()
-        path.mkdir()
         disk, is_whole = Disk(fails_at), False
         with disk.under(), contextlib.suppress(PowerLost):
-            _take(path, known.__setitem__)
+            write(fails_at)
             is_whole = True
         disk.forget()
-        lost += _missing(path, known)
+        yield fails_at, is_whole
         if is_whole:
-            return fails_at, lost
-    return 0, lost
+            return
+
+
+def _power_in_session(folder: Path) -> tuple[int, int]:
+    times, lost, known = 0, 0, dict[Key, Mark]()
+
+    def write(fails_at: int) -> None:
+        known.clear()
+        (folder / str(fails_at)).mkdir()
+        _take(folder / str(fails_at), known.__setitem__)
+
+    for times, _ in _failing(write):
+        lost += _missing(folder / str(times), known)
+    return times, lost
 
 
 def _take(path: Path, acknowledge: Acknowledge) -> None:
@@ -113,38 +123,26 @@ def _missing(path: Path, known: dict[Key, Mark]) -> int:
 
 
 def _power_in_arm(folder: Path) -> tuple[int, int]:
-    arm, lost = load_arm("right"), 0
-    for fails_at in count():
-        path = folder / f"{fails_at}.toml"
-        disk, is_whole = Disk(fails_at), False
-        with disk.under(), contextlib.suppress(PowerLost):
-            save_arm(arm, path)
-            is_whole = True
-        disk.forget()
+    arm, times, lost = load_arm("right"), 0, 0
+    for times, is_whole in _failing(lambda fails_at: save_arm(arm, folder / f"{fails_at}.toml")):
+        path = folder / f"{times}.toml"
         if path.exists() or is_whole:
             try:
                 lost += load_arm(path).drives != arm.drives
             except ArmError:
                 lost += 1
-        if is_whole:
-            return fails_at, lost
-    return 0, lost
+    return times, lost
 
 
 def _power_in_calibration(folder: Path) -> tuple[int, int]:
-    path, lost = folder / "calibration.json", 0
+    path, times, lost = folder / "calibration.json", 0, 0
     older, newer = b'{"format": "calibration/1"}' * 1000, b'{"format": "calibration/1", "newer": 1}' * 1000
-    for fails_at in count():
-        path.write_bytes(older)
-        disk, is_whole = Disk(fails_at), False
-        with disk.under(), contextlib.suppress(PowerLost):
-            write_whole(path, newer)
-            is_whole = True
-        disk.forget()
+    path.write_bytes(older)
+    for fails_at, is_whole in _failing(lambda _: write_whole(path, newer)):
+        times = fails_at
         lost += path.read_bytes() not in ((newer,) if is_whole else (older, newer))
-        if is_whole:
-            return fails_at, lost
-    return 0, lost
+        path.write_bytes(older)
+    return times, lost
 
 
 def _full_in_session(folder: Path) -> tuple[int, int]:
