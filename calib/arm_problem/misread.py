@@ -312,12 +312,15 @@ def _placed(rotation: Array, rows: npt.NDArray[np.intp], turned: Array) -> Array
 # is the size of the deviations. Each candidate (this arm, the supplied ones, this arm with offsets of opposite sign, or with a
 # servo's horn on another tooth) is fitted with the same prior, and the points are attributed to the one with the lowest cost:
 #
-#     cost = min(1, c / s)^2 sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2)) + sum over deviations of (x / p)^2,
+#     cost = min(1, c / s)^2 sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2))
+#            + sum over deviations of (x / p)^2 + 2 k log p,
 #
 # twice the negative logarithm of a posterior with Student's errors (no single pose decides). Errors beyond a camera's, c, are
-# effects that no candidate has: neighbouring poses share them, and count for less. The scale s of the errors and the
-# size p of the deviations are estimated from the best candidates (the evidence framework: MacKay, Neural Computation 4 (1992)
-# 415); candidates have the same unknowns, so that the volumes of their posteriors cancel.
+# effects that no candidate has: neighbouring poses share them, and count for less. The scale s of the errors is estimated from
+# the best candidate, the size p of the k deviations that the points show for each (the evidence framework: MacKay, Neural
+# Computation 4 (1992) 415): with one size for all, the smallest that any needs, an arm that is off by more is soon another.
+# Candidates have the same unknowns, so that the volumes of their posteriors cancel; that it is any of the other arms is as likely
+# beforehand as that it is this one.
 
 
 LARGEST, SMALLEST = 0.5, 0.02  # size of the deviations in their bounds: the spread of uniform ones is 0.58
@@ -347,13 +350,14 @@ class _Fit:
     """Fit of a candidate to the points: residual lengths (m,), and the required deviations.
 
     `nominal_m`: median distance before any; `spread_m`: of the references, root mean square; `square`: sum of the squared
-    deviations in their bounds; `size`: their standard deviation, of the determined ones.
+    deviations in their bounds; `shown`: how many of them the points determine; `size`: the standard deviation of these.
     """
 
     nominal_m: float
     spread_m: float
     distance_m: Array
     square: float
+    shown: float
     size: float
 
     @property
@@ -366,11 +370,12 @@ class _Fit:
         share = 100.0 * self.nominal_m / self.spread_m
         return f"{1e3 * self.nominal_m:.3g} mm from them (median), {share:.3g} % of their spread"
 
-    def cost(self, scale_m: float, size: float) -> float:
-        """At errors and deviations of these sizes."""
+    def cost(self, scale_m: float, shown: float) -> float:
+        """At errors of this size, and deviations of the size that suits this arm best, of which the points show so many."""
         errors = np.log1p(self.distance_m**2 / (NU * scale_m**2))
         counts = min(1.0, SCALE_m / scale_m) ** 2
-        return counts * (NU + 3.0) * float(np.sum(errors)) + self.square / size**2
+        size = min(max(math.sqrt(self.square / shown), SMALLEST), LARGEST)
+        return counts * (NU + 3.0) * float(np.sum(errors)) + self.square / size**2 + 2.0 * shown * math.log(size)
 
 
 def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[Doubt, ...]:
@@ -390,8 +395,8 @@ def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tup
     if not rivals:
         return ()
     scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (arm_fit, *others)))
-    rival, fit = min(rivals, key=lambda pair: pair[1].cost(scale_m, size))
-    excess = arm_fit.cost(scale_m, size) - fit.cost(scale_m, size)
+    rival, fit = min(rivals, key=lambda pair: pair[1].cost(scale_m, arm_fit.shown))
+    excess = arm_fit.cost(scale_m, arm_fit.shown) - fit.cost(scale_m, arm_fit.shown) - 2.0 * math.log(len(others))
     if excess <= LIKELY:
         return ()
     is_sure = excess > SURE and fit.nominal_m < arm_fit.nominal_m / NEARER
@@ -486,6 +491,7 @@ def _fitted(problem: ArmProblem, size: float) -> _Fit:
         float(np.sqrt(np.mean(norms(problem.references_m - problem.references_m.mean(axis=0)) ** 2))),
         norms(problem.residuals(x)),
         square,
+        max(shown, 1.0),
         float(np.clip(np.sqrt(square / max(shown, 1.0)), SMALLEST, LARGEST)),
     )
 

@@ -124,6 +124,21 @@ def test_an_arm_that_leaves_more_of_the_spread_is_no_rival_on_few_poses(seed) ->
     assert doubts_of_arm(arm, points, choice) == ()
 
 
+def test_an_arm_that_is_off_by_as_much_as_its_bounds_allow_has_no_horn_on_another_tooth() -> None:
+    """On few poses one of ten horns needs somewhat smaller deviations by chance."""
+    arm = load_arm("so101")
+    lower, upper = np.array(arm.limits_rad).T
+    doubted = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        off = rng.uniform(-1.0, 1.0, arm.dh.shape) * (4e-3, np.radians(2.0), 4e-3, np.radians(2.0))
+        q_rad = rng.uniform(0.8 * lower, 0.8 * upper, (20, 5))
+        tips = ArmModel(arm).tips(arm.dh + off, q_rad) + rng.normal(0.0, 5e-4, (20, 3))
+        points = make_points(["free"] * 20, [str(k) for k in range(20)], [1] * 20, q_rad, tips)
+        doubted += len(doubts_of_arm(arm, points, Choice().for_points(arm, points)))
+    assert doubted == 0
+
+
 def test_an_offset_that_its_bound_turns_round_makes_no_other_arm() -> None:
     dh = RIGHT.dh.copy()
     dh[2, 0] = -25e-6
