@@ -99,12 +99,12 @@ def read_points(path: Path, joint_count: int | None = None, also: TableFormat | 
     return replace(points, lines=np.array(table.lines, dtype=np.intp)), table.warnings
 
 
-def beyond(points: Points, path: Path, form: TableFormat, wrong: Wrong, joint_count: int | None = None) -> TableContent:
+def beyond(points: Points, path: Path, form: TableFormat, wrong: Wrong) -> TableContent:
     """The columns of `form` among those that the points keep as text, checked as those of the format are."""
     required = [column.name for column in form.columns if column.is_required]
     if required and not points.extra:
         raise wrong(f"{path}, line 1: required column {required[0]} is missing beside angles and tips")
-    table = TableContent(path, form, wrong, tuple(points.extra), 1, joint_count or points.joint_count)
+    table = TableContent(path, form, wrong, tuple(points.extra), 1, points.joint_count)
     table.add([*zip(*points.extra.values(), strict=True)] or [()] * len(points), points.lines.tolist())
     return table
 

@@ -492,9 +492,9 @@ class Panel(Widget):
 LONGEST = 500  # entries; older ones are dropped
 
 
-def clock(now_s: float | None = None) -> str:
-    """Local time of day, now or at a Unix time."""
-    return time.strftime("%H:%M:%S", time.localtime(now_s))
+def clock() -> str:
+    """Local time of day."""
+    return time.strftime("%H:%M:%S")
 
 
 class EventLog(RichLog, can_focus=False):

@@ -243,14 +243,14 @@ GAP: Final = 10.0  # periods without a sample; a shorter delay is only lateness 
 TURNS: Final = 8  # of one piece of a spectrum over angle
 
 
-def envelope(t: Array, values: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
-    """Minimum and maximum of each bucket of time, as one line (2 buckets,); short series unchanged.
+def envelope(t: Array, values: Array) -> tuple[Array, Array]:
+    """Minimum and maximum of each bucket of time, as one line (2 BUCKETS,); short series unchanged.
 
     Returns t, values; NaN where a bucket has no other values. No peak is lost, whatever its width.
     """
-    if len(t) <= 4 * buckets:
+    if len(t) <= 4 * BUCKETS:
         return t, values
-    starts = np.linspace(0, len(t), buckets, endpoint=False).astype(np.int64)
+    starts = np.linspace(0, len(t), BUCKETS, endpoint=False).astype(np.int64)
     low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
     return np.repeat(t[starts], 2), np.stack([low, high], axis=1).ravel()
 

@@ -131,16 +131,10 @@ class Player:
         return int(np.searchsorted(self._times_s, self.at_s, side="right") - 1)
 
 
-def play(
-    scene: Scene,
-    series: Series,
-    rows: Sequence[int],
-    traces: Traces,
-    speed: float,
-    clock: Clock,
-    open_: Open,
-    period_s: float = 1.0 / 60.0,
-) -> None:
+PLAY_PERIOD_s = 1.0 / 60.0
+
+
+def play(scene: Scene, series: Series, rows: Sequence[int], traces: Traces, speed: float, clock: Clock, open_: Open) -> None:
     """Show a recording until the window is closed."""
     player = Player([float(series.t_s[row]) for row in rows], speed)
     handle = open_(scene, player.key)
@@ -154,7 +148,7 @@ def play(
                 scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
                 scene.trace(handle.user_scn, traces)
             handle.sync()
-            clock.wait_until_s(now_s + period_s)
+            clock.wait_until_s(now_s + PLAY_PERIOD_s)
     finally:
         handle.close()
 

@@ -46,26 +46,26 @@ class ForwardKinematics:
     @shared
     def tip(self) -> Callable[..., Vector3]:
         """`tip(q1, ..., qn) -> (x, y, z)`."""
-        q = self._symbols(Graph(), "q")
+        q = self._symbols()
         return compile_function("tip", q, self.traced_tip(q))
 
     @shared
     def tip_jacobian(self) -> Callable[..., tuple[Vector3, Rows]]:
         """`tip_jacobian(q1, ..., qn) -> ((x, y, z), three rows of n)`, rows in m/rad."""
-        q = self._symbols(Graph(), "q")
+        q = self._symbols()
         tip = self.traced_tip(q)
         return compile_function("tip_jacobian", q, (tip, _transposed([derivative(tip, s) for s in q])))
 
     @shared
     def _batch_jacobian(self) -> Callable[..., Any]:
-        q = self._symbols(Graph(), "q")
+        q = self._symbols()
         tip = self.traced_tip(q)
         columns = [derivative(tip, s) for s in q]
         return compile_function("jacobians", q, tuple(map(tuple, columns)), np)
 
     @shared
     def _batch_tip(self) -> Callable[..., Any]:
-        q = self._symbols(Graph(), "q")
+        q = self._symbols()
         return compile_function("tips", q, self.traced_tip(q), np)
 
     def tips(self, q: ArrayLike) -> Array:
@@ -99,8 +99,9 @@ class ForwardKinematics:
         """Return q as a finite array (m, n), or raise BadTarget."""
         return chain.checked_poses(q, self.joint_count)
 
-    def _symbols(self, graph: Graph, prefix: str) -> list[Symbol]:
-        return [graph.variable(f"{prefix}{i}") for i in range(1, self.joint_count + 1)]
+    def _symbols(self) -> list[Symbol]:
+        graph = Graph()
+        return [graph.variable(f"q{i}") for i in range(1, self.joint_count + 1)]
 
 
 def _transposed(columns: Sequence[Sequence[Any]]) -> tuple[tuple[Any, ...], ...]:

@@ -288,14 +288,12 @@ class PostureFollower:
     def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
         """Solutions at the first way-point, the one from `q_near` first."""
         try:
-            for q in self._inverse.solutions(self._wanted(0), q_near):
+            turned = self._waypoints.orientations
+            first = TipPose.of(self._waypoints.points[0], None if turned is None else turned[0])
+            for q in self._inverse.solutions(first, q_near):
                 yield PathStart(q)
         except ArmError as problem:
             raise PathError(f"{self._waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
-
-    def _wanted(self, index: int) -> TipPose:
-        turned = self._waypoints.orientations
-        return TipPose.of(self._waypoints.points[index], None if turned is None else turned[index])
 
     def check(self, start: PathStart) -> None:
         """Nothing: following the path finds what cannot be reached."""

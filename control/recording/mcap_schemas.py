@@ -119,8 +119,8 @@ def _message(title: str, meaning: str, **properties: Schema) -> Schema:
     return {"title": title, "description": meaning, "type": "object", "properties": properties}
 
 
-def _many(items: Schema, meaning: str = "") -> Schema:
-    return {"type": "array", "items": items, "description": meaning}
+def _many(items: Schema) -> Schema:
+    return {"type": "array", "items": items, "description": ""}
 
 
 def _number(meaning: str) -> Schema:

@@ -241,6 +241,9 @@ class Malformed(Exception):
     """The packet is not one of the format. Never leaves the module that unpacks."""
 
 
+_COUNT = Struct("<i")
+
+
 class Fields:
     """A cursor over bytes, little endian."""
 
@@ -268,9 +271,9 @@ class Fields:
             raise Malformed
         self.at += size
 
-    def count(self, layout: Struct) -> int:
-        """A number of items."""
-        (count,) = self.read(layout)
+    def count(self) -> int:
+        """A number of items, 32 bits."""
+        (count,) = self.read(_COUNT)
         if not 0 <= count <= MOST_ITEMS:
             raise Malformed
         return int(count)

@@ -78,7 +78,7 @@ def unpack_models(payload: bytes, version: Version) -> dict[int, str] | None:
     """Names of the rigid bodies by their ids, or None. Before 4.1 rigid bodies come before all that has no size."""
     fields, names = Fields(payload), dict[int, str]()
     try:
-        for _ in range(fields.count(_COUNT)):
+        for _ in range(fields.count()):
             (kind,) = fields.read(_COUNT)
             size = _size(fields) if version >= (4, 1) else None
             begin = fields.at
@@ -102,7 +102,7 @@ def _description(fields: Fields, version: Version) -> tuple[int, str]:
     fields.read(_POINT)
     if version >= (4, 2):
         fields.read(_QUATERNION)
-    markers = fields.count(_COUNT)
+    markers = fields.count()
     fields.skip(markers * (_POINT.size + _COUNT.size))
     for _ in range(markers if version >= (4, 0) else 0):
         fields.name()
@@ -111,7 +111,7 @@ def _description(fields: Fields, version: Version) -> tuple[int, str]:
 
 def _skip_marker_set(fields: Fields) -> None:
     fields.name()
-    for _ in range(fields.count(_COUNT)):
+    for _ in range(fields.count()):
         fields.name()
 
 
@@ -133,7 +133,7 @@ def unpack_frame(payload: bytes, version: Version, names: Mapping[int, str]) -> 
 
 
 def _bodies(fields: Fields, version: Version, names: Mapping[int, str]) -> tuple[SeenBody, ...]:
-    count = fields.count(_COUNT)
+    count = fields.count()
     if version >= (4, 1) and _size(fields) != count * _BODY.size:
         raise Malformed
     return tuple(_body(fields, names) for _ in range(count))
@@ -152,18 +152,18 @@ def _body(fields: Fields, names: Mapping[int, str]) -> SeenBody:
 
 def _skip_marker_set_of_frame(fields: Fields) -> None:
     fields.name()
-    fields.skip(_POINT.size * fields.count(_COUNT))
+    fields.skip(_POINT.size * fields.count())
 
 
 def _skip_skeleton(fields: Fields) -> None:
     fields.skip(_COUNT.size)
-    fields.skip(_BODY.size * fields.count(_COUNT))
+    fields.skip(_BODY.size * fields.count())
 
 
 def _skip_channels(fields: Fields) -> None:
     fields.skip(_COUNT.size)
-    for _ in range(fields.count(_COUNT)):
-        fields.skip(4 * fields.count(_COUNT))
+    for _ in range(fields.count()):
+        fields.skip(4 * fields.count())
 
 
 def _skip_rest(fields: Fields, version: Version) -> None:
@@ -178,7 +178,7 @@ def _skip_rest(fields: Fields, version: Version) -> None:
 
 def _skip_set(fields: Fields, version: Version, skip_one: Callable[[Fields], object]) -> None:
     """Pass over items of a kind: by their size where the version says it, else one by one."""
-    count = fields.count(_COUNT)
+    count = fields.count()
     if version >= (4, 1):
         fields.skip(_size(fields))
         return

@@ -319,8 +319,8 @@ def _known_angle(driver: JointDriver, operator: BringupOperator, joint: int, mea
     _take_scale(driver, measured)
 
 
-def _turned(driver: JointDriver, measured: JointMeasurements, distance_rad: float, speed_rad_s: float = 0.2) -> float:
-    run = driver.turn(distance_rad, speed_rad_s)
+def _turned(driver: JointDriver, measured: JointMeasurements, distance_rad: float) -> float:
+    run = driver.turn(distance_rad, 0.2)
     _note_flags(run, measured)
     return run.travelled_rad
 

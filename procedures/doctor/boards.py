@@ -215,7 +215,7 @@ def _compare_encoder(
                 f"{what}: joint {drive.joint}", f"{identity.channels} channels", f"a channel {drive.encoder_channel}", remedy
             )
             continue
-        _same(boards, what, drive, "counts per turn", identity.counts_per_turn[drive.encoder_channel])
+        _compare_counts(boards, what, drive, identity.counts_per_turn[drive.encoder_channel])
         if drive.encoder_bits != identity.encoder_bits:
             boards.bad(
                 f"{what}: joint {drive.joint}, counter bits",
@@ -225,14 +225,14 @@ def _compare_encoder(
             )
 
 
-def _same(boards: AnsweringBoards, what: str, drive: Drive, name: str, counts: int) -> None:
+def _compare_counts(boards: AnsweringBoards, what: str, drive: Drive, counts: int) -> None:
     if counts == drive.encoder_counts_per_rev:
         return
     boards.bad(
-        f"{what}: joint {drive.joint}, {name}",
+        f"{what}: joint {drive.joint}, counts per turn",
         str(counts),
         str(drive.encoder_counts_per_rev),
-        ("correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the true value"),
+        "correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the true value",
     )
 
 
@@ -343,7 +343,7 @@ def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, scan: BusScan)
         remedy = "two boards or node ids may be swapped: correct motor_node or motor_serial_number"
         boards.bad(f"{what}: serial number", str(identity.serial_number), str(drive.motor_serial_number), remedy)
     if knows_motor(drive):
-        _same(boards, what, drive.at_motor, "counts per turn", identity.encoder_counts_per_turn)
+        _compare_counts(boards, what, drive.at_motor, identity.encoder_counts_per_turn)
     _judge_reset(boards, what, board)
 
 
