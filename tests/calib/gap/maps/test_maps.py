@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.gap.static.cases import ARM, Hidden, case
 from calib.arm_problem.joint_effects import along, known_corrections, node_values, spline_columns
+from calib.gap.finding import EffectName
 from calib.gap.maps.choose import CHECKED_sd, helps
 from calib.gap.workflow import Recordings, find_gap_in, write_gap
 from control.dynamics.feedforward import torque_model
@@ -95,8 +96,14 @@ def drag(joint: int, q, speed, link):
     return 1.5 * speed * np.abs(speed) if joint == 1 else np.zeros_like(q)
 
 
-def test_a_drag_without_a_name_is_mapped_over_the_speed_and_fed_forward() -> None:
+def test_a_drag_without_a_name_is_unknown_and_says_where_and_is_mapped_over_the_speed_and_fed_forward() -> None:
     found = find_gap_in(FRICTION, of_log(log_of(FRICTION, drag)), with_maps=True)
+    unknown = found.finding.unknown
+    assert not found.finding.effects
+    assert unknown is not None
+    assert "joint 2" in unknown.where
+    assert unknown.nearest == EffectName("viscous_friction", 2)
+    assert 0.3 < unknown.explained < 0.99
     check = next(one for one in found.finding.maps.checks if one.joint == 2)
     assert check.after < 0.4 * check.before
     assert any((one.joint, one.over) == (2, "speed_rad_s") for one in found.finding.maps.maps)

@@ -5,7 +5,6 @@ The parameters' tolerances are the issue's 10 %; motions of 2 s with the noise o
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -32,10 +31,6 @@ pytestmark = pytest.mark.usefixtures("without_motion")
 
 ARM = arm_with_friction()
 FEW = ("coulomb_friction", "viscous_friction", "load_friction", "cogging", "stribeck_friction", "torque_constant")
-
-
-def hiding(law: Hidden, candidates: Collection[str] | None = FEW) -> GapFinding:
-    return find(ARM, log_of(ARM, law), candidates=candidates)
 
 
 def on_joint(joint: int, law: Hidden) -> Hidden:
@@ -129,20 +124,9 @@ def test_two_effects_on_two_joints_are_both_named_and_drawn_over_their_own_varia
     assert (drawn.variable, drawn.unit) == ("transmitted torque of joint 3 [N m]", "mA")
 
 
-def test_drag_with_the_square_of_speed_is_unknown_and_says_where() -> None:
-    found = hiding(on_joint(2, lambda j, q, speed, link: 1.5 * speed * np.abs(speed)))
-    assert not found.effects
-    assert found.unknown is not None
-    assert "joint 2" in found.unknown.where
-    assert found.unknown.nearest == EffectName("viscous_friction", 2)
-    assert 0.3 < found.unknown.explained < 0.99
-
-
 def test_an_effect_that_is_taken_off_the_list_is_unknown_and_not_its_neighbour() -> None:
-    found = hiding(
-        on_joint(2, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed)),
-        [name for name in FEW if name != "load_friction"],
-    )
+    log = log_of(ARM, on_joint(2, lambda j, q, speed, link: 0.2 * np.abs(link) * np.sign(speed)))
+    found = find(ARM, log, candidates=[name for name in FEW if name != "load_friction"])
     assert not found.effects
     assert found.unknown is not None
     assert "joint 2" in found.unknown.where
