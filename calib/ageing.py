@@ -225,12 +225,9 @@ def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -
     view = _View(arm, used[0][1], used[-1][1])
     days = np.array([day for day, _ in used]) - used[-1][0]
     seen = [view.seen(geometry) for _, geometry in used]
-    span = float(-days.min())
     if step_day is None:
-        passed, unit = days / span, span
-    else:
-        passed, unit = np.array([0.0 if day >= step_day else -1.0 for day, _ in used]), 1.0
-    return _fitted(view, (passed, unit, span), [value for value, _ in seen], [info for _, info in seen])
+        return _fitted(view, seen, days, days / -days.min(), float(-days.min()))
+    return _fitted(view, seen, days, np.array([0.0 if day >= step_day else -1.0 for day, _ in used]), 1.0)
 
 
 class _View:
@@ -288,26 +285,26 @@ def _about(information: Array, rows: list[int]) -> Array:
     return np.asarray(block - across @ inverse @ across.T)
 
 
-def _fitted(view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]) -> DriftLine:
-    """`time`: what has passed until each calibration, -1 to 0; what the rate is per, in days; and the days of the record."""
-    size, (passed, unit, span) = len(values[-1]), time
+def _fitted(view: _View, seen: list[tuple[Array, Array]], days: Array, passed: Array, unit: float) -> DriftLine:
+    """`passed`: what has passed until each calibration, -1 to 0; `unit`: what the rate is per, in days."""
+    size = len(seen[-1][0])
     normal, moment = np.zeros((2 * size, 2 * size)), np.zeros(2 * size)
-    rows = [np.array([1.0, day]) for day in passed]
-    for at, value, info in zip(rows, values, informations, strict=True):
+    rows = [np.array([1.0, time]) for time in passed]
+    for at, (value, info) in zip(rows, seen, strict=True):
         normal += np.kron(np.outer(at, at), info)
         moment += np.kron(at, info @ value)
     covariance: Array = np.asarray(np.linalg.pinv(normal, rcond=KNOWN, hermitian=True), dtype=np.float64)
     solution = (covariance @ moment).reshape(2, size)
-    residuals = [value - at @ solution for at, value in zip(rows, values, strict=True)]
-    chi_squared = sum(float(one @ info @ one) for one, info in zip(residuals, informations, strict=True))
-    freedom = sum(_rank(info) for info in informations) - _rank(normal)
+    residuals = [(value - at @ solution, info) for at, (value, info) in zip(rows, seen, strict=True)]
+    chi_squared = sum(float(residual @ info @ residual) for residual, info in residuals)
+    freedom = sum(_rank(info) for _, info in seen) - _rank(normal)
     scatter = math.sqrt(max(1.0, chi_squared / freedom)) if freedom else 1.0
     by_day = np.repeat([1.0, 1.0 / unit], size)
     of_both: Array = covariance * np.outer(by_day, by_day) * scatter**2
     return DriftLine(
         poses_count=view.count,
-        days=span,
-        count=len(values),
+        days=float(-days.min()),
+        count=len(seen),
         start=np.asarray(solution[0]),
         rate=np.asarray(solution[1] / unit),
         covariance=of_both,
@@ -524,7 +521,6 @@ class Due:
     what the last calibration itself leaves uncertain.
     """
 
-    tolerance_m: float
     days: float
     middle_days: float
     furthest_days: float
@@ -547,7 +543,7 @@ def due(line: DriftLine, tolerance_m: float) -> Due | None:
     days = _first_day(constant, mixed, square, tolerance_m)
     furthest = FURTHEST * line.days
     early, middle = (min(float(np.quantile(days, share, method="lower")), furthest) for share in (RISK, 0.5))
-    return Due(tolerance_m, early, middle, furthest, math.sqrt(float(constant.mean())))
+    return Due(early, middle, furthest, math.sqrt(float(constant.mean())))
 
 
 def _drawn(line: DriftLine) -> tuple[Array, Array]:
@@ -604,12 +600,8 @@ def trend_of(arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = Non
     return Trend(arm.name, tuple(entries), geometry, quantity_rates(entries), tolerance_m, when, step, moment)
 
 
-def sentences(trend: Trend) -> tuple[str, ...]:
+def sentences(trend: Trend) -> Iterator[str]:
     """What the trend says, the most useful first."""
-    return tuple(_sentences(trend))
-
-
-def _sentences(trend: Trend) -> Iterator[str]:
     calibrations = sum(entry.geometry is not None for entry in trend.entries)
     gaps = sum(bool(entry.quantities) for entry in trend.entries)
     yield f"Arm {trend.arm}: {_count(calibrations, 'calibration')} and {_count(gaps, 'gap')} on record."
@@ -753,7 +745,7 @@ def trend_json(trend: Trend) -> dict[str, object]:
             "not_said_beyond_days": trend.due.furthest_days,
             "now_rms_m": trend.due.now_m,
         },
-        "in_words": sentences(trend),
+        "in_words": tuple(sentences(trend)),
     }
 
 

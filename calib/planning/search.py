@@ -7,7 +7,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
@@ -192,16 +192,7 @@ class Freedom:
     payload_kg: float = 0.0
 
 
-class HasCost(Protocol):
-    """A way of doing the task."""
-
-    @property
-    def cost(self) -> Cost:
-        """What it costs."""
-        ...
-
-
-Way = TypeVar("Way", bound=HasCost)
+Way = TypeVar("Way", bound="WayOfPath | WayOfStops")
 
 
 @dataclass(frozen=True, slots=True)
