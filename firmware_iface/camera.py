@@ -6,9 +6,8 @@ offset 0 magic b"AWCM", 4 version u8 = 1, 5 flags u8 (bit 0: visible), 6 source 
 
 import math
 from dataclasses import dataclass
-from struct import Struct, error
+from struct import Struct
 
-from firmware_iface.errors import MisuseError
 from firmware_iface.udp import FrameListener, UdpListener
 
 DEFAULT_PORT = 47310
@@ -27,16 +26,6 @@ class CameraFrame:
     position_m: tuple[float, float, float]
     is_visible: bool = True
     source: int = TIP_SOURCE
-
-    def pack(self) -> bytes:
-        """The datagram. Raises MisuseError if a number is not finite or does not fit its field."""
-        numbers = (self.time_s, *self.position_m)
-        if not all(map(math.isfinite, numbers)):
-            raise MisuseError(f"camera frame {self.sequence}: all numbers must be finite, got {numbers}")
-        try:
-            return _LAYOUT.pack(_MAGIC, _VERSION, self.is_visible, self.source, self.sequence, *numbers)
-        except error as problem:
-            raise MisuseError(f"camera frame {self}: a number does not fit its field ({problem})") from None
 
 
 def unpack(datagram: bytes) -> CameraFrame | None:

@@ -1,11 +1,12 @@
 """Camera frames: golden bytes, what is dropped, and the receiver on a real port."""
 
 import socket
+import struct
 
 import pytest
 
 from firmware_iface.camera import CameraFrame, CameraReceiver, unpack
-from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+from firmware_iface.errors import LinkLost, PortMissing
 from tests.places import ROOT
 
 FRAME = CameraFrame(7, 12.5, (0.5, -0.25, 0.125))
@@ -16,8 +17,13 @@ def golden() -> bytes:
     return bytes.fromhex(line.split("|")[1])
 
 
-def test_the_golden_frame_packs_and_unpacks_and_is_quoted() -> None:
-    assert FRAME.pack() == golden()
+def datagram_of(frame: CameraFrame) -> bytes:
+    numbers = (frame.is_visible, frame.source, frame.sequence, frame.time_s, *frame.position_m)
+    return struct.pack("<4sBBHIdddd", b"AWCM", 1, *numbers)
+
+
+def test_the_golden_frame_unpacks_and_is_quoted() -> None:
+    assert datagram_of(FRAME) == golden()
     assert unpack(golden()) == FRAME
     assert f"`{golden().hex(' ')}`" in (ROOT / "docs/camera.md").read_text()
 
@@ -26,7 +32,7 @@ def test_the_golden_frame_packs_and_unpacks_and_is_quoted() -> None:
 @pytest.mark.parametrize(("source", "sequence"), [(0, 0), (65535, 2**32 - 1)])
 def test_frames_survive(is_visible: bool, source: int, sequence: int) -> None:
     frame = CameraFrame(sequence, 1e9, (1.0, 2.0, 3.0), is_visible, source)
-    assert unpack(frame.pack()) == frame
+    assert unpack(datagram_of(frame)) == frame
 
 
 @pytest.mark.parametrize(
@@ -45,17 +51,11 @@ def test_what_is_no_frame_is_dropped(datagram: bytes) -> None:
     assert unpack(datagram) is None
 
 
-@pytest.mark.parametrize("frame", [CameraFrame(0, float("nan"), (0.0, 0.0, 0.0)), CameraFrame(-1, 0.0, (0.0, 0.0, 0.0))])
-def test_a_frame_that_cannot_be_written_is_our_misuse(frame: CameraFrame) -> None:
-    with pytest.raises(MisuseError):
-        frame.pack()
-
-
 def test_the_receiver_gives_all_frames_and_counts_noise() -> None:
     receiver = CameraReceiver(port=0)
     assert receiver.receive() == []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for datagram in (FRAME.pack(), b"noise", FRAME.pack()):
+        for datagram in (golden(), b"noise", golden()):
             sender.sendto(datagram, ("127.0.0.1", receiver.port))
     frames: list[CameraFrame] = []
     for _ in range(100_000):

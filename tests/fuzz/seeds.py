@@ -22,7 +22,6 @@ from control.recording.export import to_mcap
 from control.recording.reading import Recording
 from control.recording.record import Layout
 from control.recording.rotation import PartFile, begin
-from firmware_iface.camera import CameraFrame
 from firmware_iface.encoder import wire
 from firmware_iface.mocap import qtm
 from hil_mocks.devices.mocap import NatNetMock, QtmMock
@@ -31,6 +30,7 @@ from tests.calib.capture.recordings import both, c3d_bytes, vicon_csv
 from tests.firmware_iface.mocap.test_bodies import VICON
 from tests.firmware_iface.mocap.test_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP
 from tests.firmware_iface.motor_command import MotorCommand
+from tests.firmware_iface.test_camera import golden as camera_datagram
 from tests.fuzz.bought_seeds import bought_seeds
 from tests.fuzz.readers import PLAN
 from tests.recordings import row_of
@@ -153,7 +153,7 @@ def _seeds() -> dict[str, list[bytes]]:
         "cobs": [wire.encode(report)[:-1] for report in REPORTS],
         "motor": [MotorCommand(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
         "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
-        "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
+        "camera": [camera_datagram()],
         "vicon": [VICON, VICON.ljust(256, b"\0")],
         "natnet": [NATNET_3, NATNET_41, *NatNetMock(SETUP, SCENE).answer(bytes((4, 0, 0, 0)))],
         "qtm": [QTM, *QtmMock(SETUP, SCENE).answer(bytes(8) + b"getparameters 6d"), qtm.command("Version 1.19")],
