@@ -8,12 +8,12 @@ import math
 import pytest
 
 from benchmarks.__main__ import SECTIONS
-from benchmarks.loop.jobs import CIRCLE_SPEED_m_s, HEIGHT_m
+from benchmarks.loop.jobs import CIRCLE_SPEED_m_s, HEIGHT_m, circle
 from benchmarks.peers.peer import PeerMissing
 from control.model.arm import Arm
 from control.model.table import table_of
 from control.motion.plan import PlannedPath, plan_path
-from control.motion.waypoints import Waypoints, circle
+from control.motion.waypoints import Waypoints
 
 SMALLEST: dict[str, dict[str, object]] = {
     "kinematics": {"ROUNDS": 1, "POSES": 4},

@@ -1,15 +1,16 @@
 """Setup of the measurements: the arm, its scenario, and the circle."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Literal
 
 import msgspec
 
-from control.model.arm import Arm
+from control.model import table as tables
+from control.model.arm import Arm, Table
 from control.model.description import load_arm
-from control.model.table import table_of
 from control.motion.plan import PlannedPath, plan_path
-from control.motion.waypoints import Waypoints, circle
+from control.motion.waypoints import Waypoints
 from control.server.client import ArmClient
 from hil_mocks.scenario import EveryJoint, Scenario, Start, TrueDh, load_scenario
 
@@ -31,9 +32,25 @@ def known_geometry(has_friction: bool, seed: int) -> Scenario:
     return known if has_friction else msgspec.structs.replace(known, effect=(), every_joint=EveryJoint())
 
 
+def circle(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
+    """Once around the table's circle, from cavity 1 back to it, `height_m` above the board."""
+    return _above_board(table, setup, [*range(1, table.circle_points + 1), 1], height_m)
+
+
+def line(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
+    """Along the table's line from its first cavity to its last, `height_m` above the board."""
+    first = table.circle_points + 1
+    return _above_board(table, setup, range(first, first + table.line_points), height_m)
+
+
+def _above_board(table: Table, setup: str, numbers: Iterable[int], height_m: float) -> Waypoints:
+    cavities = [tables.board_cavities(table)[str(number)] for number in numbers]
+    return Waypoints(tuple(tables.to_base(table, setup, (x, y, z + height_m)) for x, y, z in cavities), None)
+
+
 def circle_path(arm: Arm, turns: int = 1) -> PlannedPath:
     """Around the calibration table's circle of 0.09 m, `turns` times without a stop, planned for `arm`."""
-    once = circle(table_of(arm), height_m=HEIGHT_m)
+    once = circle(tables.table_of(arm), height_m=HEIGHT_m)
     points = once.points + turns_after(once, turns)
     return plan_path(arm, Waypoints(points, None), CIRCLE_SPEED_m_s)
 

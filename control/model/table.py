@@ -73,17 +73,6 @@ def board_rotation(table: Table, setup: str) -> Rotation:
     raise ArmError(f'table setup: expected one of {", ".join(SETUPS)}, got "{setup}"')
 
 
-def circle_names(table: Table) -> list[str]:
-    """Names of the cavities on the circle, in order."""
-    return [str(number) for number in range(1, len(_circle(table)) + 1)]
-
-
-def line_names(table: Table) -> list[str]:
-    """Names of the cavities on the line, in order."""
-    first = len(_circle(table)) + 1
-    return [str(number) for number in range(first, first + len(_line(table)))]
-
-
 def _circle(table: Table) -> list[Vector3]:
     count, radius = table.circle_points, table.circle_radius_m
     if not count or radius is None:

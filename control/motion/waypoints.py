@@ -1,13 +1,10 @@
-"""Way-points from a file, and the circle and line of the calibration table."""
+"""Way-points from a file."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from control.errors import MissingModel, WaypointFileError
+from control.errors import WaypointFileError
 from control.kinematics.rotation import Quaternion
-from control.model import table as tables
-from control.model.arm import Table
 from control.motion.setpoint import Vector
 from control.tables import ColumnGroup, TableColumn, TableFormat, read_table
 
@@ -83,24 +80,3 @@ def read_waypoints(path: str | Path) -> Waypoints:
         places=tuple(table.place(row) for row in range(len(table))),
         orientations=None if turns is None else tuple((w, x, y, z) for w, x, y, z in turns),
     )
-
-
-def circle(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
-    """Once around the table's circle, from cavity 1 back to it, `height_m` above the board."""
-    names = tables.circle_names(table)
-    return _above_board(table, setup, [*names, *names[:1]], height_m, "circle")
-
-
-def line(table: Table, setup: str = "normal", height_m: float = 0.0) -> Waypoints:
-    """Along the table's line from its first cavity to its last, `height_m` above the board."""
-    return _above_board(table, setup, tables.line_names(table), height_m, "line")
-
-
-def _above_board(table: Table, setup: str, names: Sequence[str], height_m: float, what: str) -> Waypoints:
-    """Points above the named cavities."""
-    if not names:
-        raise MissingModel(f"the arm's [table] has no {what}: give its number of points and its size")
-    cavities = tables.board_cavities(table)
-    raised = [(cavities[name][0], cavities[name][1], cavities[name][2] + height_m) for name in names]
-    points = tuple(tables.to_base(table, setup, point) for point in raised)
-    return Waypoints(points, None, tuple(f"cavity {name}" for name in names))

@@ -70,8 +70,3 @@ def test_an_unknown_setup_lists_the_valid_ones():
 def test_an_arm_without_a_table_says_what_to_add():
     with pytest.raises(MissingModel, match=r"add \[table\]\. Without one a camera"):
         tables.table_of(load_arm("right").__class__("bare", ()))
-
-
-def test_circle_and_line_are_named_in_order():
-    assert tables.circle_names(BOARD) == [str(n) for n in range(1, 25)]
-    assert tables.line_names(BOARD) == [str(n) for n in range(25, 34)]

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.loop.jobs import circle, line
 from control.errors import ArmError, PathError
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
@@ -15,7 +16,7 @@ from control.motion.following import BOUND_M, FEWEST
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import Slowdown, plan_path
-from control.motion.waypoints import Waypoints, circle, line
+from control.motion.waypoints import Waypoints
 
 ARM = load_arm("right")
 KINEMATICS, INVERSE = ForwardKinematics(ARM), InverseKinematics(ARM)

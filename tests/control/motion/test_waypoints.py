@@ -1,13 +1,9 @@
 """Way-point files: strict, with hints for the usual mistakes, and every error names file and line."""
 
-import math
-
 import pytest
 
-from control.errors import MissingModel, WaypointFileError
-from control.model.arm import Table
-from control.model.description import load_arm
-from control.motion.waypoints import circle, line, read_waypoints
+from control.errors import WaypointFileError
+from control.motion.waypoints import read_waypoints
 
 
 def _file(tmp_path, text):
@@ -75,18 +71,3 @@ def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path):
 def test_numbers_at_the_bounds_of_what_is_plausible_pass(tmp_path):
     waypoints = read_waypoints(_file(tmp_path, "x_m,y_m,z_m,speed_m_s\n10,-10,0,10\n0,0,0,0\n"))
     assert waypoints.points[0] == (10.0, -10.0, 0.0)
-
-
-def test_the_circle_closes_and_the_line_does_not():
-    table = load_arm("right").table
-    assert len(circle(table).points) == 25
-    assert circle(table).points[0] == circle(table).points[-1]
-    assert len(line(table).points) == 9
-    assert circle(table).name(1) == "way-point 1 (cavity 1)"
-    assert math.dist(line(table).points[0], line(table).points[-1]) == pytest.approx(0.16)
-
-
-@pytest.mark.parametrize("shape", [circle, line])
-def test_a_table_without_the_pattern_says_what_is_missing(shape):
-    with pytest.raises(MissingModel, match=shape.__name__):
-        shape(Table(origin_m=(0.5, 0.0, 0.0)))
