@@ -31,7 +31,8 @@ CERTAIN: Final = 0.95
 # ways to depart each was given. A variant or size of an effect that lies further behind no longer counts in its parameters.
 MARGIN: Final = 5.0
 # Standard deviations by which a coefficient, a gain of maps, or one of two estimates of a value must differ from nothing, from
-# the arm's file or from the other, to be worth saying: among some hundred that are looked at none may do so by chance.
+# the arm's file or from the other, to be worth saying: among some hundred that are looked at none may do so by chance. So many of
+# what is never known better may be taken off as known, too; beyond, it is something that has to be found.
 SURE_sd: Final = 3.0
 # The same of what is looked at once, such as a value whose interval of that probability may hold nought.
 CHECKED_sd: Final = NormalDist().inv_cdf(0.5 * (1.0 + CERTAIN))
@@ -98,8 +99,6 @@ USUAL: Final = 10.0
 COMMON_PRIOR: Final = 0.97
 # Of the smallest size worth a name, one standard deviation: to this the nominal values of everything are known.
 IMMATERIAL: Final = 0.4
-# Standard deviations of it that may be taken off as known: beyond, it is something that has to be found.
-NUISANCE_MOST: Final = 3.0
 # Of a start of a law that bends: between these its secant speaks for the law; beyond, another start's does.
 SPEAKS_FOR: Final = (0.4, 2.2)
 # Of a law, by which a departure must differ from it: less cannot be told from another size.

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.arrays import Array
-from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, NUISANCE_MOST
+from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, SURE_sd
 from calib.gap.posterior.decide import Decision, included
 from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.search import MergingSearch
@@ -267,6 +267,6 @@ def residual_of(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = 
     """What terms of the best set leave of all rows (rows,), refitted beside nuisances, without those of `drop`."""
     linear, (size, _) = fit.linear, refitted(fit, numbers)
     factors = [np.full(linear.terms[k].count, k not in drop) for k in numbers]
-    size[: linear.first] = np.clip(size[: linear.first], -NUISANCE_MOST, NUISANCE_MOST)
+    size[: linear.first] = np.clip(size[: linear.first], -SURE_sd, SURE_sd)
     size *= np.concatenate([np.ones(linear.first), *factors])
     return np.asarray(linear.y - linear.explained(numbers, size))
