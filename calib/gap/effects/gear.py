@@ -45,7 +45,7 @@ def _play(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     for j in _joints_behind(record, scene):
         load = np.abs(scene.pose.gravity_Nm[:, j])
         ways = [*harmonics(q[:, j], 1, 2), *([load / load.max()] if load.max() > NO_TORQUE_Nm else [])]
-        for share, flank, doubt in _flanks(scene.pose, j, noise[j]):
+        for share, flank, doubt in _flanks(scene.pose, np.nan_to_num(scene.points.direction[:, j]), j, noise[j]):
             law = backlash_rad(flank, 1.0)
             departs = like(law, [law * way for way in ways])
             term = record.on_joint(scene, j + 1, law, departs)
@@ -58,7 +58,7 @@ def _joints_behind(record: EffectRecord, scene: PoseScene) -> Iterator[int]:
     return (j for j in joints if scene.arm.is_behind_encoder(record.effect, j + 1))
 
 
-def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
+def _flanks(pose: RestingPose, direction: Array, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
     """The expected flank (m,) of joint j and its variance, for every share of friction on the link's side that matters.
 
     Poses in which the motor holds little friction may have been led by a hand, or not: both are tried.
@@ -67,7 +67,7 @@ def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float,
     gravity, led = pose.gravity_Nm[:, j], pose.is_led[:, j]
     turned = TILT_rad * float(np.abs(gravity).max())
     for is_led in (np.zeros_like(led), led) if led.any() else (led,):
-        for share, behind, doubt in _behind_the_gear(pose, j, noise_Nm):
+        for share, behind, doubt in _behind_the_gear(pose, direction, j, noise_Nm):
             torque = gravity + behind
             sd = np.maximum(0.5 * GRAVITY_ERROR * np.abs(gravity) + turned + doubt, NO_TORQUE_Nm)
             flank = np.where(np.abs(torque) > NO_TORQUE_Nm, erf(torque / (np.sqrt(2.0) * sd)), 0.0)
@@ -77,19 +77,19 @@ def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float,
                 yield share, flank, 1.0 - flank**2
 
 
-def _behind_the_gear(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
+def _behind_the_gear(pose: RestingPose, direction: Array, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
     """Friction on the link's side (m,) and its doubt (m,): a share of what the motor holds, or a constant in the last direction.
 
-    Of constants only those differ between which poses change their flank.
+    Of constants only those differ between which poses change their flank; the last turns all that any may, as on an upright axis.
+    What a motor holds may be less than its current's noise, but the way that a joint came is recorded.
     """
     gravity, held = pose.gravity_Nm[:, j], pose.held_Nm[:, j]
     for share in LINK_SHARES:
         yield share, share * held, 0.03 * np.abs(held) + share * noise_Nm
-    last, most = np.sign(held), float(np.abs(held).max())
+    last, most = np.where(direction != 0.0, np.sign(direction), np.sign(held)), float(np.abs(held).max())
     turning = np.sort(-(gravity * last)[(gravity * last < 0.0) & (-gravity * last < most)])
-    if len(turning) == 0:
-        return
-    levels = np.unique(np.quantile(turning, np.linspace(0.0, 1.0, LEVELS + 2)[1:-1]))
+    inner = np.quantile(turning, np.linspace(0.0, 1.0, LEVELS + 2)[1:-1]).tolist() if len(turning) else []
+    levels = np.unique([*inner, most])
     for k, level in enumerate(levels.tolist()):
         step = 0.5 * float(np.min(np.abs(np.diff(levels)[max(0, k - 1) : k + 1]))) if len(levels) > 1 else 0.0
         yield 2.0 + level, level * last, np.full_like(held, 0.5 * step)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
+from benchmarks.gap.static.cases import ARM, NOISE_A, Design, Hidden, case, designed
 from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
@@ -39,6 +39,18 @@ def test_a_play_and_a_drift_are_named_together_with_a_time_constant_between_thos
     time_s, sd_s = value(found, "thermal_drift", "time_constant_s")  # 948 s and 1393 s are tried
     assert time_s == pytest.approx(1150.0, rel=0.05)
     assert 0.0 < sd_s < 0.5 * time_s
+
+
+def test_a_play_of_an_upright_axis_lies_where_the_joint_came_from_however_little_its_motor_holds() -> None:
+    """The currents have the sign of the last motion in nine poses of ten: the others are their noise."""
+    arm, points = designed(31, (Hidden("backlash", 1, 0.004),), Design(step=8, free=20))
+    current_A = np.array(points.current_A)
+    current_A[:, 0] = 0.15 * current_A[:, 0] + np.random.default_rng(31).normal(0.0, NOISE_A, len(points))
+    found = find(arm, dataclasses.replace(points, current_A=current_A))
+    assert names(found) == {EffectName("backlash", 1)}
+    assert found.finding.unknown is None
+    value_rad, sd_rad = value(found, "backlash", "width_rad")
+    assert abs(value_rad - 0.004) < 1.96 * sd_rad < 0.0008
 
 
 @pytest.mark.parametrize("width_rad", [0.0, 0.006])
