@@ -198,9 +198,9 @@ def is_survived(name: str, content: bytes) -> bool:
     try:
         TARGETS[name](content)
     except ArmwrightError as error:
-        said = str(error)
+        text = str(error)
     else:
         return True
-    if not 0 < len(said) < SENTENCE_MOST:
-        raise ValueError(f"{name}: an error of {len(said)} characters")
+    if not 0 < len(text) < SENTENCE_MOST:
+        raise ValueError(f"{name}: an error of {len(text)} characters")
     return False

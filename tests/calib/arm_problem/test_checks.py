@@ -193,9 +193,9 @@ def test_a_number_that_is_none_is_named_by_line_and_column() -> None:
 
 
 def test_a_few_copies_are_told_and_most_being_copies_is_refused() -> None:
-    said = checked(POINTS.chosen([*range(99), 0, 5]))
-    assert len(said) == 1
-    assert "poses 1 and 100 (lines 2 and 101), 6 and 101 (lines 7 and 102)" in said[0]
+    warnings = checked(POINTS.chosen([*range(99), 0, 5]))
+    assert len(warnings) == 1
+    assert "poses 1 and 100 (lines 2 and 101), 6 and 101 (lines 7 and 102)" in warnings[0]
     with pytest.raises(UnusablePointsError, match=r"and 96 more are identical.*remove the copies"):
         checked(POINTS.chosen([*range(99), *range(99)]))
 

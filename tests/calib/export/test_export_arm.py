@@ -256,17 +256,17 @@ def test_what_is_lost_is_said() -> None:
         Effect("viscous_friction", 2, {"coefficient_Nm_s_rad": 1.5}),
     )
     arm = dataclasses.replace(RIGHT, effects=hidden, gravity_m_s2=(0.0, 0.0, -1.62))
-    said = " ".join(export_losses(arm, "urdf"))
-    assert "backlash of 1 (width_rad 0.005)" in said
-    assert "encoder_scale of 2 (scale 0.01)" in said
-    assert "viscous" not in said
-    assert "-1.62" in said
-    assert "rotor inertia: joint 3" in said
-    assert "table, camera" in said
-    said = " ".join(export_losses(arm, "mjcf"))
-    assert "backlash" in said
-    assert "no gravity" not in said
-    assert "no rotor inertia" not in said
+    text = " ".join(export_losses(arm, "urdf"))
+    assert "backlash of 1 (width_rad 0.005)" in text
+    assert "encoder_scale of 2 (scale 0.01)" in text
+    assert "viscous" not in text
+    assert "-1.62" in text
+    assert "rotor inertia: joint 3" in text
+    assert "table, camera" in text
+    text = " ".join(export_losses(arm, "mjcf"))
+    assert "backlash" in text
+    assert "no gravity" not in text
+    assert "no rotor inertia" not in text
     assert export_losses(arm, "json") == ()
     assert any("1, 2, 3, 4, 5, 6, 7 are unknown" in line for line in export_losses(PANDA, "mjcf"))
 

@@ -64,10 +64,10 @@ def _seen(true: Arm, points: Points) -> Points:
 )
 def test_what_acts_is_identified_to_a_millionth_where_nothing_scatters(case) -> None:
     arm, points, effects = case()
-    keys = tuple(f"{one.effect}:{one.joint}" for one in effects)
+    keys = tuple(f"{effect.effect}:{effect.joint}" for effect in effects)
     plan = CalibrationPlan(Choice(effects=keys).for_points(arm, points), LeastSquares(), starts_count=1)
     made = calibrated_arm(arm, identified(arm, points, plan)[1], points)
-    found = {(one.effect, one.joint): one.parameters for one in made.effects}
-    for one in effects:
-        assert found[one.effect, one.joint] == pytest.approx(one.parameters, rel=1e-6)
+    found = {(effect.effect, effect.joint): effect.parameters for effect in made.effects}
+    for effect in effects:
+        assert found[effect.effect, effect.joint] == pytest.approx(effect.parameters, rel=1e-6)
     assert np.abs(errors_of(made, points)).max() < 2e-7

@@ -84,10 +84,10 @@ def test_what_cannot_be_determined_stays_at_nominal_and_is_named() -> None:
         frozenset({"theta4"}): 1,
         frozenset({"alpha4"}): 1,
     }
-    said = " ".join(identification.in_words())
-    assert "determine 10 of 16" in said
-    assert "d2, d3 and alpha3 move together" in said
-    assert "theta4 and alpha4 have no effect" in said
+    text = " ".join(identification.in_words())
+    assert "determine 10 of 16" in text
+    assert "d2, d3 and alpha3 move together" in text
+    assert "theta4 and alpha4 have no effect" in text
 
 
 def test_the_words_are_true_a_named_trade_moves_no_tip() -> None:

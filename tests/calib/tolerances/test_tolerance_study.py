@@ -124,10 +124,10 @@ def test_play_is_left_by_a_calibration_and_taken_by_a_correction(folder: Path) -
 
 def test_shares_of_geometry_add_up(folder: Path) -> None:
     costs = studied(GEOMETRY, folder, 300).costs
-    spread = sum(one.share[0].upper - one.share[0].value for one in costs)
-    assert sum(one.share[0].value for one in costs) == pytest.approx(1.0, abs=spread)
+    spread = sum(cost.share[0].upper - cost.share[0].value for cost in costs)
+    assert sum(cost.share[0].value for cost in costs) == pytest.approx(1.0, abs=spread)
     assert spread < 0.7
-    assert all(one.share[0].lower <= one.share[0].value <= one.share[0].upper for one in costs)
+    assert all(cost.share[0].lower <= cost.share[0].value <= cost.share[0].upper for cost in costs)
 
 
 def test_an_arm_made_exactly_has_no_error_beyond_encoder_steps(folder: Path) -> None:

@@ -159,12 +159,12 @@ def test_a_payload_never_makes_an_arm_more_certain() -> None:
 def test_the_probability_of_a_task_rises_with_its_tolerance() -> None:
     predictor, path = trusted().predictor, planned(ARM, SQUARE)
     first, *_ = tasks = [reliability_of(predictor, path, tolerance) for tolerance in (1e-4, 3e-3, 0.03, 0.3)]
-    probabilities = [one.probability for one in tasks]
+    probabilities = [task.probability for task in tasks]
     assert probabilities == sorted(probabilities)
     assert (first.probability, probabilities[-1]) == (0.0, 1.0)
-    for one in tasks:
-        low, high = one.interval
-        assert 0.0 <= low <= one.probability <= high <= 1.0
+    for task in tasks:
+        low, high = task.interval
+        assert 0.0 <= low <= task.probability <= high <= 1.0
     assert 0.0 <= first.worst_time_s <= first.duration_s
 
 
@@ -191,15 +191,15 @@ def test_iso9283_figures_of_a_programme_lie_in_their_intervals() -> None:
     points = make_points(["pose"] * len(names), names, [1] * len(names), at, seen_m, made.unseen.direction)
     trust = trusted()
     figures = pose_figures(trust.predictor, ARM, points, Path("points.csv"))
-    assert [(one.where, one.visits) for one in figures] == [("pose P1", visits), ("pose P2", visits)]
-    for one in figures:
-        assert one.measured_accuracy_m is not None
-        assert one.measured_repeatability_m is not None
-        assert one.repeatability_m is not None
-        assert one.accuracy_m.lower < one.measured_accuracy_m < one.accuracy_m.upper
-        assert one.repeatability_m.lower < one.measured_repeatability_m < one.repeatability_m.upper
-        assert one.accuracy_m.upper - one.accuracy_m.lower < 0.2 * one.accuracy_m.value
-        assert one.repeatability_m.upper < 3.0 * one.repeatability_m.lower
+    assert [(figure.where, figure.visits) for figure in figures] == [("pose P1", visits), ("pose P2", visits)]
+    for figure in figures:
+        assert figure.measured_accuracy_m is not None
+        assert figure.measured_repeatability_m is not None
+        assert figure.repeatability_m is not None
+        assert figure.accuracy_m.lower < figure.measured_accuracy_m < figure.accuracy_m.upper
+        assert figure.repeatability_m.lower < figure.measured_repeatability_m < figure.repeatability_m.upper
+        assert figure.accuracy_m.upper - figure.accuracy_m.lower < 0.2 * figure.accuracy_m.value
+        assert figure.repeatability_m.upper < 3.0 * figure.repeatability_m.lower
 
 
 def test_iso9283_figures_bend_links_at_the_joints_angles(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,11 +78,11 @@ def test_an_effect_that_is_missing_sends_to_the_gap_and_names_the_ratio() -> Non
 
 
 def test_the_paper_stands_beside_the_setup_of_the_same_name() -> None:
-    said = " ".join(verdict(fitted(), left_out(0.02, 0.00025), FLOOR).sentences)
-    assert "roll 98.8 % (paper 28.9 %)" in said
-    said = " ".join(verdict(fitted(), left_out(0.02, 0.00025, "part 1 of 5"), FLOOR).sentences)
-    assert "paper" not in said
-    assert "SpringerPlus" not in said
+    text = " ".join(verdict(fitted(), left_out(0.02, 0.00025), FLOOR).sentences)
+    assert "roll 98.8 % (paper 28.9 %)" in text
+    text = " ".join(verdict(fitted(), left_out(0.02, 0.00025, "part 1 of 5"), FLOOR).sentences)
+    assert "paper" not in text
+    assert "SpringerPlus" not in text
 
 
 def test_the_paper_stands_beside_no_other_arm() -> None:

@@ -39,9 +39,9 @@ def test_a_joint_that_reads_a_turn_too_much_is_neither_enabled_nor_homed(kind: s
     with open_cell(scenario(), a_turn_on(arm), believed=arm, period_s=PERIOD_S) as cell:
         before_rad = cell.rig.joint_rad()
         cell.run(0.1)
-        said = refusals(cell)
-        assert re.match(r"joint 1 reads 6.38\d rad, 3.78\d rad outside its limits \(-2.600 to 2.600 rad\)", said[0])
-        assert all("its encoder may be a turn off (6.283 rad)" in one for one in said[:3])
+        refused = refusals(cell)
+        assert re.match(r"joint 1 reads 6.38\d rad, 3.78\d rad outside its limits \(-2.600 to 2.600 rad\)", refused[0])
+        assert all("its encoder may be a turn off (6.283 rad)" in one for one in refused[:3])
         cell.run(0.5)
         assert (cell.mode, cell.runtime.monitor.is_homed) == (Mode.OFF, False)
         assert cell.rig.joint_rad()[0] == pytest.approx(before_rad[0], abs=0.01)  # it is free, and coasts

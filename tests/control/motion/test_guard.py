@@ -155,10 +155,10 @@ def test_arrays_and_floats_say_the_same(radius_m: float) -> None:
     least = np.min([distances for distances, _ in guard._workspace.clearances(batch, body)], axis=0)
     near = 0
     for q, expected in zip(poses(300), least, strict=True):
-        if (found := guard.clearance(tuple(q)).distance_m) < math.inf:
+        if (distance_m := guard.clearance(tuple(q)).distance_m) < math.inf:
             near += 1
-            assert found == pytest.approx(expected, abs=1e-12) or found > 0.0
-            assert (found < 0.0) == (expected < 0.0)
+            assert distance_m == pytest.approx(expected, abs=1e-12) or distance_m > 0.0
+            assert (distance_m < 0.0) == (expected < 0.0)
     assert near > 50
 
 

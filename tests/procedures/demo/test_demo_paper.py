@@ -62,9 +62,9 @@ def test_every_width_comes_back(outcome: PaperOutcome) -> None:
 
 
 def test_the_table_alone_is_said_not_to_show_the_play(outcome: PaperOutcome) -> None:
-    said = " ".join(outcome.replay.table_says)
-    assert all(f"backlash of joint {joint}" in said for joint in (1, 2))
-    assert "cannot be distinguished from the joint's zero" in said
+    text = " ".join(outcome.replay.table_says)
+    assert all(f"backlash of joint {joint}" in text for joint in (1, 2))
+    assert "cannot be distinguished from the joint's zero" in text
 
 
 def test_no_model_but_that_with_backlash_knows_of_play(outcome: PaperOutcome) -> None:

@@ -125,16 +125,16 @@ def test_each_fault_is_named(fault: FaultTable, words: str) -> None:
 
 
 def test_two_faults_at_once_are_both_named() -> None:
-    said = found_on(FaultTable("silent", "motor2"), FaultTable("lost_wire", "encoder", channel=0))
-    assert any("joint 2 (node 2): does not answer" in line for line in said)
-    assert any("joint 1: encoder: its signal is lost" in line for line in said)
-    assert len(said) == 2
+    findings = found_on(FaultTable("silent", "motor2"), FaultTable("lost_wire", "encoder", channel=0))
+    assert any("joint 2 (node 2): does not answer" in line for line in findings)
+    assert any("joint 1: encoder: its signal is lost" in line for line in findings)
+    assert len(findings) == 2
 
 
 def test_a_board_under_another_node_is_offered_for_the_one_that_is_missing() -> None:
-    said = found_on(believed=with_drive(RIGHT, 2, motor_node=9))
-    assert any("joint 2 (node 9)" in line and "node 2 answers but has no joint" in line for line in said)
-    assert any(line.startswith("WARN node 2:") for line in said)
+    findings = found_on(believed=with_drive(RIGHT, 2, motor_node=9))
+    assert any("joint 2 (node 9)" in line and "node 2 answers but has no joint" in line for line in findings)
+    assert any(line.startswith("WARN node 2:") for line in findings)
 
 
 def test_a_board_that_its_watchdog_or_a_low_supply_restarted_says_so() -> None:

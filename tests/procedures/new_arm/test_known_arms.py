@@ -177,11 +177,11 @@ def test_the_current_of_every_servo_holds_the_arm(name: str) -> None:
     with open_cell(load_scenario("ideal"), arm=arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
         cell.client.enable()
         cell.run(cell.start_move(stretched) + 2.0)
-        told = cell.connection.hardware.feedback.current_A
+        current_A = cell.connection.hardware.feedback.current_A
         true = cell.rig.robot.plant.bridges.currents_A()
     assert max(map(abs, true)) > 0.1
     for joint, drive in enumerate(arm.drives):
-        assert told[joint] == pytest.approx(true[joint], abs=0.02 * drive.current_limit_A)
+        assert current_A[joint] == pytest.approx(true[joint], abs=0.02 * drive.current_limit_A)
 
 
 @pytest.mark.parametrize(
