@@ -16,8 +16,7 @@ import numpy as np
 from calib.export import export_text
 from calib.export.frames import end_names
 from console.visualisation.series import Array
-from console.visualisation.snapshots import TipOfArm, TipsOf, TipsOfCell, Traces
-from control.kinematics.kinematics import ForwardKinematics
+from console.visualisation.snapshots import TipsOf, Traces, tips_in
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.model.table import cavities
@@ -134,10 +133,8 @@ class ArmScene(Scene):
     """One arm in its base frame."""
 
     def __init__(self, arm: Arm) -> None:
-        self.arm = arm
-        self.kinematics = ForwardKinematics(arm)
         view = view_of([((0.0, 0.0, 0.0), _reach_m(arm))])
-        super().__init__(_spec(arm), [("", arm)], TipOfArm(self.kinematics), view)
+        super().__init__(_spec(arm), [("", arm)], tips_in(arm), view)
 
 
 class CellScene(Scene):
@@ -157,7 +154,7 @@ class CellScene(Scene):
         _furnish(spec, size, min(placed.origin_m[2] + _floor_m(placed.arm) for placed in cell.arms))
         joints = [(f"{placed.name}/", placed.arm) for placed in cell.arms]
         view = view_of([(placed.origin_m, _reach_m(placed.arm)) for placed in cell.arms])
-        super().__init__(spec, joints, TipsOfCell(cell), view)
+        super().__init__(spec, joints, tips_in(cell), view)
 
 
 def scene_of(shown: Arm | Cell) -> Scene:

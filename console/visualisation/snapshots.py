@@ -5,7 +5,7 @@ measured, and by the camera.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from console.visualisation.series import Array, Series
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
-from control.model.cell import Cell
+from control.model.cell import Cell, Placed
 from control.server.channel import Message
 from firmware_iface.clock import Clock
 
@@ -124,6 +124,8 @@ class CellSource:
 POINTS_MOST: Final = 4000
 LONGEST_PATH: Final = 400
 Angles = Sequence[Sequence[float]] | Array
+TipsOf = Callable[[Angles], Array]
+"""Tips (k, m, 3) [m] of k arms."""
 
 
 @dataclass(slots=True)
@@ -156,42 +158,23 @@ def tips_of(kinematics: ForwardKinematics, angles_rad: Array) -> Array:
     return tips_m
 
 
-class TipsOf(Protocol):
-    """Tips (k, m, 3) [m] of k arms for joint angles (m, n) of all of them; NaN rows are gaps."""
-
-    def __call__(self, angles_rad: Angles) -> Array: ...
-
-
-class TipOfArm:
-    """The tip of one arm in its base frame."""
-
-    def __init__(self, kinematics: ForwardKinematics) -> None:
-        self._kinematics = kinematics
-
-    def __call__(self, angles_rad: Angles) -> Array:
-        """Tips (1, m, 3)."""
-        return tips_of(self._kinematics, np.asarray(angles_rad, dtype=np.float64))[None]
-
-
-class TipsOfCell:
-    """The tips of all arms in the frame of the cell; joint angles arm after arm, NaN where an arm is not homed."""
-
-    def __init__(self, cell: Cell) -> None:
-        self._arms = [(placed, ForwardKinematics(placed.arm)) for placed in cell.arms]
-
-    def __call__(self, angles_rad: Angles) -> Array:
-        """Tips (arms, m, 3)."""
-        table, at, tips_m = np.asarray(angles_rad, dtype=np.float64), 0, []
-        for placed, kinematics in self._arms:
-            tips = tips_of(kinematics, table[:, at : at + placed.arm.joint_count])
-            tips_m.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
-            at += placed.arm.joint_count
-        return np.array(tips_m)
-
-
 def tips_in(shown: Arm | Cell) -> TipsOf:
-    """Of an arm, or of the arms of a cell."""
-    return TipsOfCell(shown) if isinstance(shown, Cell) else TipOfArm(ForwardKinematics(shown))
+    """Of an arm in its base frame, or of the arms of a cell in the cell's, for joint angles (m, n), arm after arm.
+
+    NaN where an arm is not homed.
+    """
+    placed_arms = shown.arms if isinstance(shown, Cell) else (Placed(shown),)
+    arms = [(placed, ForwardKinematics(placed.arm)) for placed in placed_arms]
+
+    def tips_m(angles_rad: Angles) -> Array:
+        table, at, parts = np.asarray(angles_rad, dtype=np.float64), 0, []
+        for placed, kinematics in arms:
+            tips = tips_of(kinematics, table[:, at : at + placed.arm.joint_count])
+            parts.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
+            at += placed.arm.joint_count
+        return np.array(parts)
+
+    return tips_m
 
 
 class TipPath:

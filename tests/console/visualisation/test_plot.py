@@ -18,7 +18,7 @@ from console.visualisation.metrics import metrics_json, metrics_of, tip_error_m
 from console.visualisation.pictures import PICTURES
 from console.visualisation.reading import of_columns, read_series
 from console.visualisation.series import TURNS, Series, chosen, envelope, joined_runs, orders, spectrum, with_gaps
-from console.visualisation.snapshots import TipOfArm, traces_of
+from console.visualisation.snapshots import tips_in, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import arm_text, load_arm
@@ -85,7 +85,7 @@ def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_no
     for name in ("a.armlog", "log.mcap", "log.csv"):
         series = read_series(tmp_path / name, RIGHT)
         np.testing.assert_allclose(series.q_rad - series.joint_rad, np.broadcast_to(ahead, series.q_rad.shape), atol=1e-8)
-        traces = traces_of(series, TipOfArm(kinematics))
+        traces = traces_of(series, tips_in(RIGHT))
         np.testing.assert_allclose(traces.commanded_m, kinematics.tips(series.q_set_rad - ahead), atol=1e-8)
         np.testing.assert_allclose(traces.measured_m, kinematics.tips(series.q_rad - ahead), atol=1e-8)
         seen = np.flatnonzero(np.isfinite(series.tip_m[:, 0]))

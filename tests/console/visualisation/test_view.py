@@ -23,14 +23,13 @@ from console.visualisation.scene import PREFIX, ArmScene, CellScene, Scene
 from console.visualisation.snapshots import (
     CellSource,
     Snapshot,
-    TipOfArm,
     TipPath,
-    TipsOfCell,
     Traces,
     live,
     recorded,
     snapshot_at,
     snapshot_of,
+    tips_in,
     traces_of,
 )
 from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
@@ -145,7 +144,7 @@ def test_the_arms_of_a_cell_stand_at_their_bases_and_each_leaves_a_path_of_its_o
     pair = load_cell("pair")
     turned = replace(pair.arms[1], origin_m=(0.2, -0.6, 0.1), orientation=(0.6, 0.0, 0.0, 0.8))
     cell = replace(pair, arms=(pair.arms[0], turned))
-    scene, trail = CellScene(cell), TipPath(TipsOfCell(cell))
+    scene, trail = CellScene(cell), TipPath(tips_in(cell))
     poses = {"left": (0.1, -0.5, 0.4), "right": (-0.4, -0.2, 0.6)}
     source = CellSource([SimpleNamespace(status=lambda q=q: statuses_of(q)) for q in poses.values()])
     for _ in range(2):
@@ -257,7 +256,7 @@ def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
 
 
 def test_a_trail_keeps_the_last_of_it() -> None:
-    trail = TipPath(TipOfArm(ForwardKinematics(ARM)), most=3)
+    trail = TipPath(tips_in(ARM), most=3)
     for k in range(7):
         traces = trail.add(Snapshot(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
     np.testing.assert_allclose(traces.measured_m, ForwardKinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)]))
@@ -276,7 +275,7 @@ def test_moments_without_all_angles_are_passed_over(tmp_path: Path) -> None:
 def test_what_means_nothing_before_homing_is_no_line(tmp_path: Path) -> None:
     homing = {k: {"mode": MODES.index("HOMING")} for k in range(30, 40)}
     series = read_series(write_recording(tmp_path / "a.armlog", 80, changes=homing))
-    traces = traces_of(series, TipOfArm(ForwardKinematics(ARM)))
+    traces = traces_of(series, tips_in(ARM))
     assert np.isnan(traces.measured_m[:40]).all()
     assert np.isfinite(traces.measured_m[40:]).all()
 
