@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import io
 import os
+import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,24 +60,51 @@ def _settle_hypothesis(at_night: bool) -> None:
 def home_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """For what fixtures of modules do."""
     with pytest.MonkeyPatch.context() as patch:
-        _at_home(patch, tmp_path_factory.mktemp("home"))
+        _live_in(_furnished(tmp_path_factory.mktemp("home")), patch)
         yield
+
+
+@pytest.fixture(scope="session")
+def empty_homes() -> Iterator[list[Path]]:
+    """Those that tests left as they found them: to remove three folders after each test, the kernel may wait for 12 ms."""
+    homes: list[Path] = []
+    yield homes
+    for home in homes:
+        shutil.rmtree(home, ignore_errors=True)
 
 
 @pytest.fixture(autouse=True)
-def at_home(home_of_the_run: None) -> Iterator[None]:
+def at_home(home_of_the_run: None, empty_homes: list[Path]) -> Iterator[None]:
     """An empty HOME for each test, with a working folder and one for sockets, whose paths must be short."""
-    with (
-        tempfile.TemporaryDirectory(prefix="armwright-test-", ignore_cleanup_errors=True) as folder,
-        pytest.MonkeyPatch.context() as patch,
-    ):
-        _at_home(patch, Path(folder))
+    home = empty_homes.pop() if empty_homes else _furnished(Path(tempfile.mkdtemp(prefix="armwright-test-")))
+    with pytest.MonkeyPatch.context() as patch:
+        _live_in(home, patch)
         yield
+    if _is_as_furnished(home):
+        empty_homes.append(home)
+    else:
+        shutil.rmtree(home, ignore_errors=True)
 
 
-def _at_home(patch: pytest.MonkeyPatch, home: Path) -> None:
-    for name in ("work", "run"):
+ROOMS = ("run", "work")
+
+
+def _furnished(home: Path) -> Path:
+    for name in ROOMS:
         (home / name).mkdir(mode=0o700)
+    return home
+
+
+def _is_as_furnished(home: Path) -> bool:
+    try:
+        folders = [home, *(home / name for name in ROOMS)]
+        is_open = all(stat.S_IMODE(folder.stat().st_mode) == 0o700 for folder in folders)
+        return is_open and [sorted(there.name for there in folder.iterdir()) for folder in folders] == [[*ROOMS], [], []]
+    except OSError:
+        return False
+
+
+def _live_in(home: Path, patch: pytest.MonkeyPatch) -> None:
     patch.setenv("HOME", str(home))
     patch.setenv("XDG_RUNTIME_DIR", str(home / "run"))
     patch.chdir(home / "work")
