@@ -153,6 +153,7 @@ class RoboClaw:
             RoboclawQuestion(address, RoboclawCommand.READ_TEMPERATURE, 2, self._take_temperature),
         )
         self._turn = 0
+        self._has_limit_switch = False
 
     @property
     def where(self) -> str:
@@ -169,6 +170,8 @@ class RoboClaw:
         The encoders are read in the rest of the cycle, again and again.
         """
         self._line.post(self._currents)
+        if self._has_limit_switch and self._turn % 2:
+            self._line.post(self._slow[0])  # the status, in each cycle: at its switch the board overrides the duty
         self._line.post(self._slow[self._turn])
         self._turn = (self._turn + 1) % len(self._slow)
 
@@ -235,6 +238,7 @@ class RoboClaw:
             self._require_pin(channel, "Limit (Fwd)", (wire.LIMIT_FORWARD, wire.LIMIT_BOTH))
         else:
             self._require_pin(channel, "Limit (Rev)", (wire.LIMIT_REVERSE, wire.LIMIT_BOTH))
+        self._has_limit_switch = True
 
     def _require_pin(self, channel: int, called: str, modes: tuple[int, ...]) -> None:
         if self.identity is not None and (mode := self.identity.pin_modes[channel]) not in modes:

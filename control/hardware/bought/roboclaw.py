@@ -43,13 +43,15 @@ _SWITCH = (RoboclawStatus.S4_TRIGGERED, RoboclawStatus.S5_TRIGGERED)
 # Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
 CYCLE_BYTES = 37
 QUESTIONS = 4
+STATUS_BYTES = 8  # of one more, for boards with a limit switch
 _RATED = re.compile(r"\d+x(\d+)A")  # in its version: motors and continuous current, as in "RoboClaw 2x15A v4.3.6"
 PEAK_OF_RATED = 2.0  # at most, by the boards' data sheets: 1.25 to 2 by model
 
 
-def cycle_s(boards: int, baud: int) -> float:
-    """How long the questions of one cycle take on a line: the shortest period of the loop."""
-    return boards * (CYCLE_BYTES * 10 / baud + QUESTIONS * TURN_AROUND_S)
+def cycle_s(boards: int, baud: int, with_switch: int = 0) -> float:
+    """How long a cycle's questions take on a line, some of whose boards have a limit switch: the loop's shortest period."""
+    every_s = CYCLE_BYTES * 10 / baud + QUESTIONS * TURN_AROUND_S
+    return boards * every_s + with_switch * (STATUS_BYTES * 10 / baud + TURN_AROUND_S)
 
 
 class RoboClawEncoders(AskedEncoders):
@@ -245,8 +247,12 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
 
         return PolledBoards(line, claws, post_cycle)
 
+    def needed_s(count: int, baud: int) -> float:
+        return cycle_s(count, baud, min(count, with_switch))
+
+    with_switch = len({drive.board for drive in arm.drives if _limit_side(drive)} & {board.name for board in boards})
     remedy = "raise the baud rate, or give each board a line of its own (USB)"
-    open_lines(boards, opened, period_s, "RoboClaw", remedy, cycle_s, open_on)
+    open_lines(boards, opened, period_s, "RoboClaw", remedy, needed_s, open_on)
 
 
 def _require_rating(where: str, version: str, drive: Drive) -> None:

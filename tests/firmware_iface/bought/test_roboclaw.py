@@ -166,6 +166,24 @@ def test_a_board_restart_is_told_by_its_saved_time_out(cable: Cable) -> None:
     assert isinstance(board.problems[0], BoardReset)
 
 
+@pytest.mark.parametrize(("has_switch", "asked"), [(False, 6), (True, 12)])
+def test_the_status_of_a_board_with_a_limit_switch_is_asked_for_in_each_cycle(has_switch: bool, asked: int, cable: Cable) -> None:
+    """At its switch the board overrides the duty: what a cycle makes of that duty would be wrong."""
+    line = PacketLine(cable.link, cable)
+    board = RoboClaw(line, 0x80, "base")
+    if has_switch:
+        board.require_limit_switch(1, is_forward=True)
+    answers = 0
+    for _ in range(12):
+        board.status = None
+        board.post_cycle()
+        for _ in range(5):
+            cable.wait_until_s(cable.now_s() + 0.002)
+            line.update()
+        answers += board.status is not None
+    assert answers == asked
+
+
 def test_a_line_too_slow_for_the_cycle_still_brings_the_counts(cable: Cable) -> None:
     line = PacketLine(cable.link, cable)
     board = RoboClaw(line, 0x80, "base")
