@@ -26,10 +26,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.gear import LOOSE, SPRING
+from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import EffectName, NamedEffect
 from calib.gap.log import Log, LoggedRun
 from calib.gap.posterior.constants import CERTAIN, NAME_PRIOR
+from calib.gap.posterior.term import parameters_of
 from calib.gap.signals.filters import filters_for
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
@@ -42,8 +43,6 @@ FEWEST = 50  # pairs of counts
 LATE_s = 0.007  # within which the motor's board answers, evenly
 PASSES = 3  # of a fit: how sure a flank is goes by the play
 TURNS_rad_s = 0.02  # as fast as this, friction has its full size
-SMALLEST = {"joint_compliance": SPRING.smallest, "backlash": LOOSE.smallest, "belt_coupling": LOOSE.smallest}  # worth a name
-LAW = {"joint_compliance": "stiffness_Nm_rad", "backlash": "width_rad", "belt_coupling": "ratio"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,15 +174,15 @@ def _named(arm: Arm, pairs: Pairs) -> Iterator[NamedEffect]:
     sds = np.sqrt(np.diag(whole.covariance) * len(is_held_out) / whole.independent)
     modelled = {effect.effect: effect.parameters for effect in arm.effects if effect.joint is None}
     for effect, value, sd in zip(fit.effects, whole.coefficients.tolist(), sds.tolist(), strict=False):
-        if abs(value) < SMALLEST[effect]:
+        series = series_of(effect)
+        if series is None or abs(value) < series.form.smallest:
             continue
         name = EffectName(effect, None if effect == "belt_coupling" else pairs.joint + 1)
-        if effect == "joint_compliance":
-            value, sd = 1.0 / value, sd / value**2
-        elif effect == "belt_coupling":  # the loop has taken off what the file says of it
+        if effect == "belt_coupling":  # the loop has taken off what the file says of it
             value += modelled.get(effect, {}).get("ratio", 0.0)
+        parameters = parameters_of(effect)(np.array([value]), np.array([[sd**2]]))
         evidence = {"lead_before_rad": before, "lead_after_rad": after}
-        yield NamedEffect(name, {LAW[effect]: (value, sd)}, after / before, evidence, inclusion[effect])
+        yield NamedEffect(name, parameters, after / before, evidence, inclusion[effect])
 
 
 def _last_third(run: Array) -> np.ndarray:
