@@ -60,7 +60,9 @@ def require_one_cell(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         name = arm_of(recording)
         if not _about_cell(recording):
-            raise RecordError(f"{recording.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone")
+            raise RecordError(
+                f"{recording.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone; give the file"
+            )
         if name in names:
             raise RecordError(f"{recording.path}: expected another arm, got {name!r} again")
         names.append(name)

@@ -100,7 +100,7 @@ def test_recordings_of_other_runs_and_of_an_arm_alone_are_refused(tmp_path: Path
     with pytest.raises(RecordError, match=r"cycle 4 was at 9\.000 s, and that of .* they are not of one run"):
         join([left, Recording.open(later)], tmp_path / "cell.csv")
     write_recording(tmp_path / "other" / "alone.armlog", 5)
-    with pytest.raises(RecordError, match="expected the recording of an arm of a cell, got that of arm 'right' alone"):
+    with pytest.raises(RecordError, match="got that of arm 'right' alone; give the file"):
         recordings_in(tmp_path / "other")
     (tmp_path / "none").mkdir()
     with pytest.raises(RecordError, match="a folder without recordings"):
