@@ -687,7 +687,7 @@ def _about_due(trend: Trend) -> Iterator[str]:
     if trend.due.days <= 0.0:
         steady = trend.geometry is None or trend.geometry.is_steady
         yield (
-            f"{'The calibrations leave' if steady else 'That scatter leaves'} {MILLI * trend.due.now_m:.2g} mm uncertain on the"
+            f"{'The calibrations leave' if steady else 'That scatter leaves'} {MILLI * trend.due.now_m:.3g} mm uncertain on the"
             f" day of the last one (root mean square over the workspace): {limit} cannot be promised on any day."
             f" {'More poses, or more calibrations, are needed.' if steady else 'Find its cause first.'}"
         )
