@@ -59,7 +59,7 @@ def with_mass(link: Link, mass: Mass | None, frame: Array) -> Link:
         com, moments, kg = nothing, nothing, 0.0
     else:
         local = mass.seen_from(_inverse(frame))
-        com, kg = _vector(local.com_m), mass.mass_kg
+        com, kg = _vector(local.com_m), _even(mass.mass_kg)
         moments = _vector(np.maximum(np.diag(local.inertia_kg_m2), 0.0))
     return dataclasses.replace(link, mass_kg=kg, com_m=com, inertia_kg_m2=moments)
 

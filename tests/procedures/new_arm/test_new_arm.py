@@ -96,6 +96,11 @@ def test_the_lengths_are_where_the_joints_are(tmp_path: Path) -> None:
     assert np.allclose(tips, [[0, 0, 0.85], [0.75, 0, 0.1], [0.35, 0, 0.5]], atol=1e-12)
 
 
+def test_masses_are_written_without_the_last_bits_of_a_sum(tmp_path: Path) -> None:
+    assert main(["new", "--out", str(tmp_path / "a.toml"), "--boards", "feetech", "--yes"]) == 0
+    assert re.findall(r"0{6}\d|9{6}\d", (tmp_path / "a.toml").read_text(encoding="utf-8")) == []
+
+
 def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
