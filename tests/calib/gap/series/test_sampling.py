@@ -52,7 +52,7 @@ def test_without_currents_a_slow_loop_is_at_its_floor(nothing_hidden: tuple[Arm,
 
 def test_joints_that_turn_each_other_within_a_slow_sample_are_no_effect() -> None:
     """100 samples a second: a voltage is held longer than a motor takes to turn away under it."""
-    case = next(iter(made([Asked(300_001, "none")], Conditions(rate_Hz=100, seconds=1.5))))
+    case = next(iter(made([Asked(300_001, "none")], Conditions(rate_Hz=100, seconds=1.0))))
     arm = arm_of(case.arm_toml)
     recording = plausible(arm, prepare(arm, log_of(case)))
     rows = ResidualRows(Physics(arm, recording), known_laws(arm))
