@@ -59,7 +59,7 @@ def test_with_one_speed_no_way_point_is_passed_faster_and_the_way_between_hardly
 @settings(max_examples=60, deadline=None)
 @given(angles, angles, st.floats(0.05, 1.0), st.floats(0.0, 1.0))
 def test_any_move_and_a_stop_from_anywhere_on_it_keep_all_limits(start, end, fraction, share):
-    move = JointMove(start, end, LIMITS, fraction)
+    move = JointMove(start, end, LIMITS.scaled(fraction))
     stop = StopMotion(move.at(share * move.duration_s), LIMITS)
     for motion in (move, stop):
         for i in range(41):
