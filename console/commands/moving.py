@@ -42,6 +42,8 @@ def _move(args: argparse.Namespace) -> int:
         raise ArmError("move: give either --joints or --tip")
     if args.tip is None and (args.orientation is not None or args.frame != "base"):
         raise ArmError("move: --orientation and --frame need --tip")
+    if args.joints is not None and len(args.joints) != (count := load_arm(args.arm).joint_count):
+        raise ArmError(f"--joints: expected {count} joint angles in rad, got {len(args.joints)}")
     tip_m, orientation = args.tip, args.orientation
     if args.frame == "tracker":
         turned = (1.0, 0.0, 0.0, 0.0) if orientation is None else tuple(orientation)

@@ -137,12 +137,15 @@ def test_a_pose_beyond_the_limits_is_marked_with_a_word(tmp_path: Path) -> None:
             assert "outside its limits (-2.6 to 0.08 rad)" in outcome.transcript
 
 
-def test_a_script_ends_at_the_first_line_that_fails() -> None:
+@pytest.mark.parametrize(
+    ("angles", "why"), [("9 9 9", "outside of its range"), ("0 0", "--joints: expected 3 joint angles in rad, got 2")]
+)
+def test_a_script_ends_at_the_first_line_that_fails(angles: str, why: str) -> None:
     with holding_cell() as cell:
         before = cell.rig.joint_rad()
-        outcomes = played(cell, "move --joints 9 9 9", "move --joints 0.3 -0.5 0.3")
+        outcomes = played(cell, f"move --joints {angles}", "move --joints 0.3 -0.5 0.3")
         assert [outcome.status for outcome in outcomes] == [2]
-        assert "outside of its range" in outcomes[0].transcript
+        assert why in outcomes[0].transcript
         assert cell.rig.joint_rad() == pytest.approx(before, abs=1e-3)
 
 
