@@ -135,6 +135,11 @@ class File:
             parameters[key] = (value, math.hypot(float(np.fmax(sd, of_fit.get(key, (0.0, math.nan))[1])), apart))
         return parameters
 
+    def far_from_nothing(self, name: EffectName, first: Parameters) -> float:
+        """How many of its standard deviations, as they are written, the size of an effect is from nought; a phase is no size."""
+        written = self.parameters(name, first)
+        return math.hypot(*(value / sd for key, (value, sd) in written.items() if key != "phase_rad" and sd != 0.0))
+
     def is_between_flanks(self, points: Points) -> Mask:
         """Poses (m,) of which nothing tells the flank of a loose gear: whoever reads the file takes its play's middle."""
         at = resting_points(self.arm, points)

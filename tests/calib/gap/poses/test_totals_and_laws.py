@@ -206,6 +206,14 @@ def test_effects_at_once_do_not_make_the_points_another_arms() -> None:
     assert names(find(one.arm, one.points)) <= {EffectName(h.effect, h.joint) for h in one.hidden}
 
 
+def test_a_name_whose_size_in_the_file_may_be_none_is_no_name() -> None:
+    """A loose tool, which no effect is: the poses' own estimate of an eccentricity is 17 mrad, the file identifies 1.2."""
+    one = rough_case("foreign", 990_015)
+    found = find(one.arm, one.points)
+    assert names(found) == set()
+    assert found.finding.unknown is not None
+
+
 def test_a_tip_near_the_axis_tells_no_turn() -> None:
     lever_m = np.array([[0.5, 0.0, 0.0], [0.0, 0.2, 0.0], [0.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
     turn_rad = along_joint(lever_m, 1e-3 * lever_m + [0.0, 0.0, 1e-4])
