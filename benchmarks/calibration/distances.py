@@ -16,7 +16,7 @@ from calib.arm_problem.assembly import Choice
 from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.distances.calibrate import DistancePlan, DistancesFound, calibrate_with_distances
-from calib.distances.problem import Wires
+from calib.distances.problem import WireKnowledge
 from calib.points.points import Points, make_points
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
@@ -29,6 +29,7 @@ DIRECTION = np.array([0.6, 0.0, 0.8])
 GAUGE_ZERO_m, WIRE_ZERO_m = -0.2, 0.35
 SD_m = 1e-4
 ARMS = 10
+NOTHING = WireKnowledge()  # of wires: their points are identified, their zeros are none
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +106,9 @@ def _points(device: list[str], length_m: Array, sd_m: float, q_rad: Array, seen_
     )
 
 
-def calibrated(of: Recorded, choice: Choice | None = None, **wires: object) -> DistancesFound:
+def calibrated(of: Recorded, wires: WireKnowledge = NOTHING, choice: Choice | None = None) -> DistancesFound:
     """The calibration of the nominal arm with these readings."""
-    plan = DistancePlan(choice or Choice(), Wires(**wires))  # type: ignore[arg-type]
-    return calibrate_with_distances(RIGHT, of.points, Path("lengths.csv"), plan)
+    return calibrate_with_distances(RIGHT, of.points, Path("lengths.csv"), DistancePlan(choice or Choice(), wires))
 
 
 def over_workspace_m(true: Arm, dh: Array, is_placed: bool = False) -> Array:
@@ -120,25 +120,28 @@ def over_workspace_m(true: Arm, dh: Array, is_placed: bool = False) -> Array:
 
 def main() -> None:
     """The table of docs/distances.md."""
-    known: dict[str, object] = {"known_m": ANCHORS_m}
-    cases: tuple[tuple[str, dict[str, object], dict[str, object]], ...] = (
-        ("one wire, 40 readings", {"wires": "A"}, {}),
-        ("one wire, 100", {"wires": "A", "each": 100}, {}),
-        ("one wire, 40, unknown zero", {"wires": "A", "zero_m": WIRE_ZERO_m}, {"free_zero": True}),
-        ("two wires, 20 each", {"wires": "AB", "each": 20}, {}),
-        ("two wires, 40 each", {"wires": "AB"}, {}),
-        ("two wires at known points, 20 each", {"wires": "AB", "each": 20}, {"known_m": {k: ANCHORS_m[k] for k in "AB"}}),
-        ("three wires at known points, 20 each", {"wires": "ABC", "each": 20}, known),
-        ("one gauge, 40", {"gauge": 40}, {}),
-        ("40 distances between two poses", {"pairs": 40}, {}),
-        ("one wire, 40, and 10 tips", {"wires": "A", "tips": 10}, {}),
+    cases: tuple[tuple[str, dict[str, object], WireKnowledge], ...] = (
+        ("one wire, 40 readings", {"wires": "A"}, NOTHING),
+        ("one wire, 100", {"wires": "A", "each": 100}, NOTHING),
+        ("one wire, 40, unknown zero", {"wires": "A", "zero_m": WIRE_ZERO_m}, WireKnowledge(free_zero=True)),
+        ("two wires, 20 each", {"wires": "AB", "each": 20}, NOTHING),
+        ("two wires, 40 each", {"wires": "AB"}, NOTHING),
+        (
+            "two wires at known points, 20 each",
+            {"wires": "AB", "each": 20},
+            WireKnowledge(known_m={k: ANCHORS_m[k] for k in "AB"}),
+        ),
+        ("three wires at known points, 20 each", {"wires": "ABC", "each": 20}, WireKnowledge(known_m=ANCHORS_m)),
+        ("one gauge, 40", {"gauge": 40}, NOTHING),
+        ("40 distances between two poses", {"pairs": 40}, NOTHING),
+        ("one wire, 40, and 10 tips", {"wires": "A", "tips": 10}, NOTHING),
     )
-    for name, what, plan in cases:
+    for name, what, wires in cases:
         before, after, largest, ranks = [], [], [], []
         for seed in range(ARMS):
             of = recorded(seed, **what)  # type: ignore[arg-type]
-            calibration = calibrated(of, **plan)  # type: ignore[arg-type]
-            is_placed = "known_m" in plan or "tips" in what
+            calibration = calibrated(of, wires)
+            is_placed = bool(wires.known_m) or "tips" in what
             before.append(over_workspace_m(of.true, RIGHT.dh, is_placed).mean())
             errors = over_workspace_m(of.true, calibration.found.dh, is_placed)
             after.append(errors.mean())

@@ -20,7 +20,17 @@ from calib.arm_problem.posed import WeightedProblem, whole_problem
 from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen
 from calib.calibration.report import estimate_lines
-from calib.distances.problem import BETWEEN, GAUGE, LEAST, Device, DistanceProblem, Readings, Wires, devices_of, readings_of
+from calib.distances.problem import (
+    BETWEEN,
+    GAUGE,
+    LEAST,
+    Device,
+    DistanceProblem,
+    Readings,
+    WireKnowledge,
+    devices_of,
+    readings_of,
+)
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Sensitivity
 from calib.identify.identification import Estimate, Estimation, Identification, uncertainty
@@ -43,7 +53,7 @@ class DistancePlan:
     """What to identify: as of a calibration by tips, and of wires."""
 
     choice: Choice = field(default_factory=Choice)
-    wires: Wires = field(default_factory=Wires)
+    wires: WireKnowledge = field(default_factory=WireKnowledge)
     objective: Objective = field(default_factory=Huber)
 
 
@@ -291,7 +301,7 @@ def _mm(errors_m: Array) -> str:
     return f"{1e3 * float(np.abs(errors_m).mean()):.3f}"
 
 
-def compare_lengths(nominal: Arm, calibrated: Arm, points: Points, where: Path, wires: Wires) -> Comparison:
+def compare_lengths(nominal: Arm, calibrated: Arm, points: Points, where: Path, wires: WireKnowledge) -> Comparison:
     """Errors of lengths by two models, as vectors along each length; a device is a setup.
 
     For each model a wire or gauge of unknown place stands where its other readings fit best. PointsFileError or
@@ -309,7 +319,7 @@ def _setup(device: str) -> str:
     return BETWEEN if device.startswith(BETWEEN) else device
 
 
-def _problem_of_others(arm: Arm, points: Points, where: Path, wires: Wires) -> DistanceProblem:
+def _problem_of_others(arm: Arm, points: Points, where: Path, wires: WireKnowledge) -> DistanceProblem:
     """Of the devices only: the arm is as it says."""
     model, readings = ArmModel(arm), readings_of(arm, points, where)
     tips = model.tips(model.nominal_dh, readings.q_rad)

@@ -221,14 +221,14 @@ class Device:
 
 
 @dataclass(frozen=True, slots=True)
-class Wires:
+class WireKnowledge:
     """Whether a wire's zero is unknown, too; fixed points that are known in the base frame, by the wires' names."""
 
     free_zero: bool = False
     known_m: Mapping[str, Vector] = field(default_factory=dict)
 
 
-def devices_of(readings: Readings, tips: Array, wires: Wires, to_spare: int = 0) -> tuple[Device, ...]:
+def devices_of(readings: Readings, tips: Array, wires: WireKnowledge, to_spare: int = 0) -> tuple[Device, ...]:
     """All devices, at their starts by the nominal tips (m, 3). UnusablePointsError for too few readings of one.
 
     to_spare: readings beyond those that place a device.
@@ -241,7 +241,7 @@ def devices_of(readings: Readings, tips: Array, wires: Wires, to_spare: int = 0)
     return tuple(_device(name, readings, tips, wires, to_spare) for name in names)
 
 
-def _device(name: str, readings: Readings, tips: Array, wires: Wires, to_spare: int) -> Device:
+def _device(name: str, readings: Readings, tips: Array, wires: WireKnowledge, to_spare: int) -> Device:
     rows, (kind, _, label) = readings.of(name), name.partition(":")
     free_zero, is_known = wires.free_zero, kind == WIRE and label in wires.known_m
     least = 1 if is_known or kind == BETWEEN else LEAST[kind] + (kind == WIRE and free_zero) + to_spare

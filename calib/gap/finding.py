@@ -5,25 +5,21 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+import numpy as np
+
 from calib.arrays import Array
 from control.files import write_whole
-from control.model.effects import EFFECTS, moved_joint, place_of
+from control.model.arm import Arm, Effect
+from control.model.effects import EFFECTS, moved_joint, place_of, total
 from control.model.maps import CorrectionMap
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-import dataclasses
-from collections.abc import Sequence
-
-import numpy as np
-
-from control.model.arm import Arm, Effect
-from control.model.effects import total
 
 Said = TypeVar("Said")
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
@@ -329,7 +325,7 @@ def updated_arm(arm: Arm, finding: GapFinding) -> Arm:
     remaining = tuple(effect for effect in arm.effects if (effect.effect, effect.joint) not in removed)
     maps = () if finding.maps is None else finding.maps.maps
     refitted = [effect_of(effect.name, effect.parameters) for effect in finding.refitted]
-    return with_totals(dataclasses.replace(arm, effects=remaining, maps=maps), [*refitted, *named])
+    return with_totals(replace(arm, effects=remaining, maps=maps), [*refitted, *named])
 
 
 def with_geometry(arm: Arm, finding: GapFinding) -> Arm:
@@ -354,7 +350,7 @@ def with_totals(arm: Arm, totals: Sequence[Effect]) -> Arm:
         before = known.get((effect.effect, effect.joint))
         parameters = effect.parameters if before is None else {**before.parameters, **effect.parameters}
         known[effect.effect, effect.joint] = Effect(effect.effect, effect.joint, parameters)
-    return dataclasses.replace(arm, effects=tuple(known.values()))
+    return replace(arm, effects=tuple(known.values()))
 
 
 def as_totals(arm: Arm, finding: GapFinding) -> GapFinding:
@@ -363,11 +359,11 @@ def as_totals(arm: Arm, finding: GapFinding) -> GapFinding:
 
     def total_of(named: NamedEffect) -> NamedEffect:
         if named.name in known:
-            named = dataclasses.replace(named, parameters=as_total(named.name.effect, known[named.name], named.parameters))
+            named = replace(named, parameters=as_total(named.name.effect, known[named.name], named.parameters))
         return named if is_possible(named.name.effect, named.parameters) else replace(named, parameters={}, is_nothing=True)
 
     refitted = tuple(effect for effect in map(total_of, finding.refitted) if not effect.is_nothing)
-    return dataclasses.replace(finding, effects=tuple(map(total_of, finding.effects)), refitted=refitted)
+    return replace(finding, effects=tuple(map(total_of, finding.effects)), refitted=refitted)
 
 
 def is_possible(effect: str, parameters: Parameters) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arm_problem.joint_effects import LAWS
 from calib.distances.calibrate import compare_lengths
-from calib.distances.problem import Wires, has_readings
+from calib.distances.problem import WireKnowledge, has_readings
 from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
 from calib.points.points import Points
@@ -93,7 +93,7 @@ def driven(pair: ModelPair, drive: SurveyPair, comparison: Comparison, paths: tu
     return dataclasses.replace(made, pose_count=len(q_rad))
 
 
-def on_recorded(pair: ModelPair, file: Path, wires: Wires, is_as_given: bool = False) -> Verification:
+def on_recorded(pair: ModelPair, file: Path, wires: WireKnowledge, is_as_given: bool = False) -> Verification:
     """The verification on static poses with measured tips, or lengths: each model's prediction from the encoders.
 
     wires: of lengths, as in a calibration by them.

@@ -22,7 +22,7 @@ from calib.calibration.report import calibration_report, judgement_json, summary
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, pair_text, write_pair
 from calib.closed_chain.pair_problem import Contacts, names_of, read_contacts
 from calib.distances.calibrate import DistancePlan, calibrate_with_distances, distances_json, distances_text
-from calib.distances.problem import Wires
+from calib.distances.problem import WireKnowledge
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named
@@ -172,7 +172,9 @@ def run_calibrate_distances(args: argparse.Namespace) -> int:
         fixed=options.names_in(args.fix or []),
         freed=("tool",) if args.free_tool else (),
     )
-    plan = DistancePlan(choice, Wires(args.free_zero, options.wires_at(args.wire_at or [])), objective_named(args.objective))
+    plan = DistancePlan(
+        choice, WireKnowledge(args.free_zero, options.wires_at(args.wire_at or [])), objective_named(args.objective)
+    )
     points, warnings = points_for(arm, [file])
     warn(warnings)
     with Bar("calibrate-distances") as bar:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.arm_problem.assembly import with_own_base, without_base
-from calib.distances.problem import Wires
+from calib.distances.problem import WireKnowledge
 from calib.errors import CalibrationError
 from calib.report.report import Verification
 from calib.validation.verify import comparison_text
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     require_empty(out)
     if args.points is not None:
         pair = _framed(pair, args)
-        wires = Wires(args.free_zero, wires_at(args.wire_at or []))
+        wires = WireKnowledge(args.free_zero, wires_at(args.wire_at or []))
         recorded = on_recorded(pair, Path(args.points), wires, args.as_given)
         return _finish(args, recorded, out)
     if args.free_zero or args.wire_at:

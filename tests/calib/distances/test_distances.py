@@ -23,7 +23,7 @@ from benchmarks.calibration.distances import (
 from calib.arm_problem.assembly import Choice
 from calib.distances import calibrate as module
 from calib.distances.calibrate import DistancePlan, compare_lengths, distances_text
-from calib.distances.problem import Wires, readings_of
+from calib.distances.problem import WireKnowledge, readings_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.points.points import Points
 from calib.points.reading import read_points
@@ -42,7 +42,7 @@ def with_column(points: Points, name: str, row: int, text: str) -> Points:
 
 def test_derivatives_by_the_arm_and_by_every_kind_of_device_are_exact() -> None:
     of = recorded(1, "AB", each=6, gauge=5, pairs=4, tips=5)
-    plan = DistancePlan(Choice(freed=("tool",)), Wires(True, {"B": ANCHORS_m["B"]}))
+    plan = DistancePlan(Choice(freed=("tool",)), WireKnowledge(True, {"B": ANCHORS_m["B"]}))
     _, problem = module._problem(RIGHT, of.points, readings_of(RIGHT, of.points, FILE), plan)
     x = np.random.default_rng(2).uniform(-0.01, 0.01, len(problem.parameters))
     residuals, jacobian = problem.residuals_and_jacobian(x)
@@ -77,18 +77,18 @@ def test_one_wire_makes_the_arm_right_but_for_where_it_stands() -> None:
 def test_wires_at_known_points_say_all_that_measured_tips_say() -> None:
     of = recorded(3, "AB", each=20)
     known = {name: ANCHORS_m[name] for name in "AB"}
-    calibration = calibrated(of, known_m=known)
+    calibration = calibrated(of, WireKnowledge(known_m=known))
     assert calibration.found.rank == 10
     assert over_workspace_m(of.true, calibration.found.dh, is_placed=True).mean() < 0.2e-3
     assert all(len(device.parameters) == 0 for device in calibration.devices)
     with pytest.raises(UnusablePointsError, match='no wire "C" in the readings: expected one of A, B'):
-        calibrated(of, known_m={"C": (0.0, 0.0, 0.0)})
+        calibrated(of, WireKnowledge(known_m={"C": (0.0, 0.0, 0.0)}))
 
 
 def test_gauge_zero_and_pairs_are_found_together_and_a_wrong_reading_does_little() -> None:
     of = recorded(4, "A", each=20, gauge=16, pairs=6, zero_m=WIRE_ZERO_m)
     wrong = with_column(of.points, "distance_m", 3, f"{float(of.points.extra['distance_m'][3]) + 0.05:.6f}")
-    calibration = calibrated(dataclasses.replace(of, points=wrong), free_zero=True)
+    calibration = calibrated(dataclasses.replace(of, points=wrong), WireKnowledge(free_zero=True))
     assert over_workspace_m(of.true, calibration.found.dh).mean() < 0.15e-3
     wire, gauge = calibration.zero_m[0], calibration.places[1]
     assert wire == pytest.approx(WIRE_ZERO_m, abs=1.5e-3)
@@ -185,15 +185,15 @@ def test_lengths_verify_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_a_reading_does_not_verify_the_place_of_its_own_device() -> None:
     of = recorded(3, "A", each=7)
     arm = dataclasses.replace(RIGHT.with_dh(of.true.dh))
-    comparison = compare_lengths(RIGHT, arm, of.points, FILE, Wires())
+    comparison = compare_lengths(RIGHT, arm, of.points, FILE, WireKnowledge())
     names, lengths = list(of.points.extra["distance_m"]), []
     for row in (0, 3):
         points = with_column(of.points, "distance_m", row, f"{float(names[row]) + 0.001:.9f}")
-        moved = compare_lengths(RIGHT, arm, points, FILE, Wires())
+        moved = compare_lengths(RIGHT, arm, points, FILE, WireKnowledge())
         lengths.append(np.linalg.norm(moved.after_m[row] - comparison.after_m[row]))
     assert np.allclose(lengths, 1e-3, atol=1e-4)  # none of it went into the wire's place
     with pytest.raises(UnusablePointsError, match='"wire:A": 4 readings, 5 are needed'):
-        compare_lengths(RIGHT, arm, of.points.chosen(range(4)), FILE, Wires())
+        compare_lengths(RIGHT, arm, of.points.chosen(range(4)), FILE, WireKnowledge())
 
 
 def test_the_command_writes_a_calibrated_arm_and_calibrate_points_to_it(
