@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.assembly import BASE, CAMERA, Choice, base_frame_of
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import BASE, CAMERA, Choice, base_frame_of, observations_of, started_tool
 from calib.arm_problem.checks import require_of_arm
 from calib.arm_problem.frames import Frame, mean_rotation
 from calib.arm_problem.joint_effects import known_corrections
@@ -132,10 +133,9 @@ class TurnComparison:
 
 def compare_turns(nominal: Arm, calibrated: Arm, points: Points) -> TurnComparison | None:
     """The comparison at all poses with a measured orientation; None with fewer than three."""
-    rows = np.flatnonzero(np.isfinite(points.orientation).all(axis=1))
-    if len(rows) < 3:
+    if not _is_of_target(points):
         return None
-    some = points.chosen(rows)
+    some = points.chosen(np.flatnonzero(np.isfinite(points.orientation).all(axis=1)))
     return TurnComparison(*(frozen(_angles_rad(arm, some)) for arm in (nominal, calibrated)))
 
 
@@ -377,6 +377,12 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
     """
     cautions = (*require_of_arm(calibrated, points), *_about_frames((nominal, calibrated), points))
     points = points.chosen(_first_of_copies(points))
+    if nominal.tool.position_m != calibrated.tool.position_m and _is_of_target(points):
+        nominal = _with_target(nominal, points)
+        cautions += (
+            f"the tool of {nominal.path or nominal.name} is not where the target was measured: it was put where the model fits"
+            " best",
+        )
     errors = [errors_of(arm, points) for arm in (nominal, calibrated)]
     rows = np.flatnonzero(np.isfinite(errors[0]).all(axis=1) & np.isfinite(errors[1]).all(axis=1))
     if not len(rows):
@@ -388,6 +394,18 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
     tips = np.where(np.isfinite(used.tip_m), used.tip_m, predicted_tips(calibrated, used))
     found = compare_repeated(used.setup, _names(used), tips, errors[0][rows], errors[1][rows])
     return replace(found, cautions=cautions)
+
+
+def _is_of_target(points: Points) -> bool:
+    """Whether what was measured is a target with axes, not the tip: where it sits on the last link is a matter of its mount."""
+    return int(np.isfinite(points.orientation).all(axis=1).sum()) >= 3
+
+
+def _with_target(arm: Arm, points: Points) -> Arm:
+    """The arm with its tool where the target fits this model best, as `calibrate` does before it identifies anything."""
+    observed = observations_of(arm, points, Choice().for_points(arm, points))
+    x_m, y_m, z_m = started_tool(ArmModel(arm), observed).tolist()
+    return replace(arm, tool=replace(arm.tool, position_m=(x_m, y_m, z_m)))
 
 
 def _about_frames(arms: Sequence[Arm], points: Points) -> tuple[str, ...]:

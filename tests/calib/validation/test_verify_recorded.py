@@ -138,6 +138,23 @@ def test_a_tracker_of_unknown_place_is_put_where_each_model_fits_best_and_that_i
         compare_arms(RIGHT, true, replace(points, tip_m=away))  # its table says where
 
 
+def test_where_a_target_sits_on_the_last_link_is_no_error_of_the_arm_before() -> None:
+    """Pictures show a board on the jaw; a file that has the tip elsewhere is as right as one that has it there."""
+    _, points = seen_session()
+    on_jaw = replace(RIGHT, tool=Tool((0.012, -0.009, 0.02)), table=None)
+    tip = replace(on_jaw, tool=RIGHT.tool)
+    seen = replace(
+        points,
+        tip_m=ForwardKinematics(on_jaw).tips(points.q_rad) + np.array([4.07, -1.2, 0.3]),
+        orientation=np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)),
+    )
+    same = compare_arms(tip, on_jaw, seen)
+    assert same.of("roll").before.max_m < 1e-6
+    assert "the tool of" in same.cautions[-1]
+    tips_alone = replace(seen, orientation=np.full((len(points), 4), np.nan))  # the tip itself was measured: its tool counts
+    assert compare_arms(tip, on_jaw, tips_alone).of("roll").before.max_m > 1e-3
+
+
 def test_copies_count_once_and_identical_errors_have_no_interval() -> None:
     true, points = seen_session()
     twice = points.chosen([*range(33), *range(10)])
