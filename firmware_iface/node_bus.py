@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -12,6 +13,7 @@ from firmware_iface.link import FrameLink
 _STEP_s = 0.0005
 MANY = 20_000  # messages whose mean interval is the period
 FIRST, GAP = (10, 4.0)  # messages after which so many periods without one, or without a look, say nothing of the period
+LOST = 8  # messages that come while one is missing, after which it does not come any more
 Frame = tuple[int, bytes]
 
 
@@ -26,28 +28,90 @@ class Commanded(Protocol):
 N = TypeVar("N", bound=Commanded)
 
 
-class SteadyMessages:
-    """When a board sent messages that carry no time: it sends them at a rate of its own, and each came since the last drain.
-
-    Each is dated a period after the one before, as far as it then lies between the drains. Dated by the drains alone, one message
-    in a cycle after two in the one before would look like half the speed. One that is lost shows at the next drain.
-    """
+class Dating:
+    """When counts were made that come without a time: at `at_s` [s, host] at the earliest, and up to `late_s` later."""
 
     def __init__(self) -> None:
         self.at_s = -math.inf
-        """The newest one [s, host]."""
+        self.late_s = 0.0
+
+    def forget(self) -> None:
+        """There is none any more."""
+        self._date(-math.inf, 0.0)
+
+    def _date(self, at_s: float, late_s: float) -> None:
+        self.at_s, self.late_s = at_s, late_s
+
+
+class Answers(Dating):
+    """Of a board that measures when it is asked, and does not say which question it answers.
+
+    Answers come in the order of the questions, but a busy host, adapter or drive may be late by more than a cycle. So each is of
+    the oldest open question at the earliest, and of the newest one at the latest; dated by the newest, one that was late in the
+    cycle before would look like twice the speed. Questions that stay open while `LOST` answers or questions come were lost, or
+    their answers. One answer too many shows that those before were late nevertheless.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._open_s: deque[float] = deque(maxlen=LOST)
+        self._asked_s = -math.inf
+        self._behind, self._fewest = 0, LOST  # answers in a row that left questions open, and the fewest that they left
+
+    def asked(self, now_s: float) -> None:
+        """A question was sent."""
+        self._open_s.append(now_s)
+        self._asked_s = now_s
+
+    def arrived(self, now_s: float) -> None:
+        """One more answer."""
+        open_s = self._open_s
+        if not open_s:
+            self._date(self.at_s, self.late_s + now_s - self._asked_s)
+            return
+        if len(open_s) > 1:
+            self._behind, self._fewest = self._behind + 1, min(self._fewest, len(open_s) - 1)
+            lost = len(open_s) - 1 if len(open_s) == LOST else self._fewest if self._behind == LOST else 0
+            for _ in range(lost):
+                open_s.popleft()
+        at_s = open_s.popleft()
+        if not open_s or self._behind == LOST:
+            self._behind, self._fewest = 0, LOST
+        self._date(at_s, self._asked_s - at_s)
+
+
+class SteadyMessages(Dating):
+    """Of a board that sends at a rate of its own: each message is a period after the one before.
+
+    One that was due before the last drain, which did not bring it, is late, or it is a later one and that was lost. After `LOST`
+    messages in a row, or periods, the latter is so; else each came since the last drain. Dated by the drains alone, one message
+    in a cycle after two in the one before would look like half the speed, and what was late like many times the speed.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
         self._drained_s, self._period_s, self._messages = 0.0, 0.0, 0
+        self._behind = 0  # messages in a row that were due before
 
     def arrived(self, drained_s: float, now_s: float) -> None:
         """One more, between two drains."""
         if self.at_s == -math.inf:
-            self.at_s = now_s
+            self._date(now_s, 0.0)
         else:
             gap_s = now_s - min(self._drained_s, drained_s)
-            if self._messages < FIRST or gap_s < GAP * self._period_s:
+            is_known = self._messages >= FIRST
+            if not is_known or gap_s < GAP * self._period_s:
                 self._messages = min(self._messages + 1, MANY)
                 self._period_s += (now_s - self._drained_s - self._period_s) / self._messages
-            self.at_s = min(max(self.at_s + self._period_s, drained_s), now_s)
+            due_s, off_s = self.at_s + self._period_s, 0.5 * self._period_s
+            is_behind = is_known and off_s < drained_s - due_s < LOST * self._period_s and self._behind < LOST
+            self._behind = self._behind + 1 if is_behind else 0
+            if is_behind:
+                self._date(due_s, now_s - due_s)
+            elif is_known and due_s - off_s > now_s:
+                self._date(now_s, self.late_s + self._period_s)
+            else:
+                self._date(min(max(due_s, drained_s), now_s), 0.0)
         self._drained_s = now_s
 
 
@@ -79,13 +143,8 @@ class UnaskedBoard(NodeBoard):
 
     def __init__(self, bus: "NodeBus[Any]", number: int, name: str, needed: Iterable[Any]) -> None:
         super().__init__(bus, number, name)
-        self._counted = SteadyMessages()
+        self.counted = SteadyMessages()
         self._at_s: dict[Any, float] = dict.fromkeys(needed, -math.inf)
-
-    @property
-    def counted_at_s(self) -> float:
-        """When it sent the count; -inf: it has none."""
-        return self._counted.at_s
 
     @property
     def at_s(self) -> float:
@@ -100,9 +159,7 @@ class NodeBus(ABC, Generic[N]):
         """`link`: of the format that the boards use."""
         self.link, self.clock, self.name = link, clock, link.name
         self.nodes: dict[int, N] = {}
-        self.sent_at_s = clock.now_s()
-        """When the last command was sent."""
-        self.drained_s = self.sent_at_s
+        self.drained_s = clock.now_s()
         """Until when all that had arrived was processed; what is processed now came later."""
         self.problems = Problems()
 
@@ -122,14 +179,12 @@ class NodeBus(ABC, Generic[N]):
 
     def flush(self) -> None:
         """Send every board its command. Raises LinkLost."""
-        self.sent_at_s = self.clock.now_s()
         for node in self.nodes.values():
             for frame in node.frames():
                 self.link.send(*frame)
 
     def send(self, frame: Frame) -> None:
         """Send one frame. Raises LinkLost."""
-        self.sent_at_s = self.clock.now_s()
         self.link.send(*frame)
 
     def waits(self, is_so: Callable[[], bool], limit_s: float) -> bool:

@@ -16,6 +16,7 @@ from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, MisuseError, Problems
 from firmware_iface.link import FrameLink
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
+from firmware_iface.node_bus import Answers
 
 FrameHandler = Callable[[bytes, float], None]
 HOST_NODE = 127  # the node id of our heartbeat
@@ -32,14 +33,16 @@ class CanOpenBus:
         self.problems = Problems()
         self.synced_at_s = clock.now_s()
         self._handlers: dict[int, FrameHandler] = {}
+        self._answers: list[Answers] = []
         self._heartbeat_every_s = heartbeat_every_s
         self._next_heartbeat_s = -math.inf
 
-    def add(self, node: int, handlers: dict[int, FrameHandler]) -> None:
-        """Dispatch frames with these base ids of a node. Raises MisuseError."""
+    def add(self, node: int, handlers: dict[int, FrameHandler], counted: Answers) -> None:
+        """Dispatch frames with these base ids of a node; `counted` are its answers to SYNC. Raises MisuseError."""
         if node not in wire.NODES or node == HOST_NODE:
             raise MisuseError(f"CAN bus {self.name}: node ids are 1 to 126, got {node}")
         self._handlers.update({base + node: handler for base, handler in handlers.items()})
+        self._answers.append(counted)
 
     def update(self) -> None:
         """Process everything received. Raises LinkLost, and once per event what the nodes found."""
@@ -62,7 +65,9 @@ class CanOpenBus:
     def sync(self) -> None:
         """Send SYNC: the nodes take over their set-points, and answer with what they measured then. Raises LinkLost."""
         self.link.send(wire.SYNC, b"")
-        self.synced_at_s = self.clock.now_s()
+        self.synced_at_s = now_s = self.clock.now_s()
+        for answers in self._answers:
+            answers.asked(now_s)
 
     def heartbeat(self) -> None:
         """Tell the nodes that the host lives."""
@@ -155,7 +160,8 @@ class Cia402Drive:
         self.count = 0
         self.torque_permille = 0
         self.at_s = -math.inf
-        """When the drive measured them: the SYNC before they came."""
+        """The SYNC before they came."""
+        self.counted = Answers()
         self.supply_mV: int | None = None
         self._supply_at_s = self._inputs_at_s = -math.inf
         self._inputs = 0  # object 0x60FD
@@ -184,17 +190,13 @@ class Cia402Drive:
                 wire.SDO_ANSWER: self._take_answer,
                 wire.HEARTBEAT: self._take_heartbeat,
             },
+            self.counted,
         )
 
     @property
     def where(self) -> str:
         """Name in messages: `CiA 402 drive "elbow" (node 3) on socketcan:can0`."""
         return f'CiA 402 drive "{self.name}" (node {self.node}) on {self._bus.name}'
-
-    @property
-    def counted_at_s(self) -> float:
-        """When the drive measured its position."""
-        return self.at_s
 
     @property
     def heard_at_s(self) -> float:
@@ -442,6 +444,7 @@ class Cia402Drive:
         if len(payload) == _TPDO_1.size:
             self.statusword, self.count, self.torque_permille = _TPDO_1.unpack(payload)
             self.at_s = self._bus.synced_at_s
+            self.counted.arrived(now_s)
             self.state = STATE_OF_STATUSWORD[self.statusword & 0xFF]
 
     def _take_slow_values(self, payload: bytes, now_s: float) -> None:
@@ -467,6 +470,7 @@ class Cia402Drive:
     def _restarted(self) -> None:
         self.resets += 1
         self.state, self.at_s = None, -math.inf
+        self.counted.forget()
         self._supply_at_s = self._inputs_at_s = -math.inf
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._bus.problems.append(

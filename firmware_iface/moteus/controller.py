@@ -8,7 +8,7 @@ from typing import Final
 from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.wire import Frame, MoteusMode, Register
-from firmware_iface.node_bus import NodeBoard, NodeBus
+from firmware_iface.node_bus import Answers, NodeBoard, NodeBus
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
@@ -43,8 +43,7 @@ class Moteus(NodeBoard):
         """The command of the next cycle; at first none, so that nothing changes by connecting."""
         self.mode, self.fault = int(MoteusMode.STOPPED), 0
         self.at_s = -math.inf
-        self.counted_at_s = -math.inf
-        """When it was asked for the count: a reply that waited for a host that paused is of before the pause."""
+        self.counted = Answers()
         self._driven_for = 0  # commands in a row that were of position mode
         self._was_obeying = self._is_ousted = False
         self._milliseconds = 0
@@ -73,11 +72,13 @@ class Moteus(NodeBoard):
     def frames(self) -> tuple[Frame, ...]:
         """The command of this cycle."""
         self._driven_for = self._driven_for + 1 if wire.drives(self.wanted) else 0
+        self.counted.asked(self._bus.clock.now_s())
         return (self.wanted,)
 
     def stop_now(self) -> None:
         """Short the windings before the cycle's end. Raises LinkLost."""
         self.wanted = wire.brake(self.number)
+        self.counted.asked(self._bus.clock.now_s())
         self._bus.send(self.wanted)
 
     # ---- outside of the cycle
@@ -129,6 +130,7 @@ class Moteus(NodeBoard):
     def await_status(self, is_asked_only: bool = False) -> None:
         """Wait for values that are sent from now on, as the answer to the present command or to none. BoardSilent."""
         asked_s = self._bus.clock.now_s()
+        self.counted.asked(asked_s)
         frame = wire.ask(self.number) if is_asked_only else self.wanted
         self._asks(frame, lambda: self.at_s > asked_s)
 
@@ -138,6 +140,7 @@ class Moteus(NodeBoard):
 
     def reset_fault(self) -> bool:
         """End a fault or time-out; the windings are shorted then. Returns whether it is gone. BoardSilent."""
+        self.counted.asked(self._bus.clock.now_s())
         self._bus.send(wire.stop(self.number))
         self.wanted = wire.brake(self.number)
         end_s = self._bus.clock.now_s() + SETTLE_s
@@ -185,7 +188,8 @@ class Moteus(NodeBoard):
         self.temperature_degC = registers[Register.TEMPERATURE]
         self._unknown = OPTIONAL - registers.keys()
         self.is_switch_on = bool(int(registers.get(Register.AUX1_INPUTS, 0)) & 1)
-        self.at_s, self.counted_at_s = now_s, self._bus.sent_at_s
+        self.at_s = now_s
+        self.counted.arrived(now_s)
         if Register.MILLISECONDS in registers and self._has_restarted(int(registers[Register.MILLISECONDS]), now_s):
             self.resets += 1
             self.wanted = wire.brake(self.number)

@@ -5,7 +5,7 @@ import struct
 from typing import Final
 
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, ProtocolViolation, WrongIdentity
-from firmware_iface.node_bus import NodeBus, SteadyMessages, UnaskedBoard
+from firmware_iface.node_bus import NodeBus, UnaskedBoard
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.wire import AxisState, Error, Frame, OdriveCommand, OdriveControlMode
 
@@ -143,7 +143,7 @@ class OdriveAxis(UnaskedBoard):
         asked_s = self._bus.clock.now_s()
         arrived_at_s = self._at_s
         if not self._bus.waits(
-            lambda: arrived_at_s[OdriveCommand.ENCODER] > asked_s and self.counted_at_s > -math.inf, STATUS_WAIT_s
+            lambda: arrived_at_s[OdriveCommand.ENCODER] > asked_s and self.counted.at_s > -math.inf, STATUS_WAIT_s
         ):
             self.await_status()
 
@@ -191,9 +191,9 @@ class OdriveAxis(UnaskedBoard):
     def _count(self, turns: float, now_s: float) -> None:
         if math.isfinite(turns):
             self.count = round(turns * self.counts_per_turn)
-            self._counted.arrived(self._bus.drained_s, now_s)
-        elif self.counted_at_s != -math.inf or not self._bus.problems:
-            self._counted = SteadyMessages()
+            self.counted.arrived(self._bus.drained_s, now_s)
+        elif self.counted.at_s != -math.inf or not self._bus.problems:
+            self.counted.forget()
             self._bus.problems.append(
                 BoardFaulted(f"{self.where}: its encoder has no position (NaN): calibrate it with odrivetool")
             )

@@ -193,7 +193,7 @@ class Vesc(UnaskedBoard):
                 if now_s != self._at_s[Packet.STATUS_4]:
                     self._begin_batch(now_s)
                 self._follow(raw)
-                self._counted.arrived(self._bus.drained_s, now_s)
+                self.counted.arrived(self._bus.drained_s, now_s)
             case Packet.STATUS_5:
                 self.supply_V = wire.status_5(payload).supply_V
             case Packet.STATUS_6:

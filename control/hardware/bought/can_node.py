@@ -16,6 +16,7 @@ from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.link import FrameLink
+from firmware_iface.node_bus import Dating
 
 B = TypeVar("B", bound=Line)
 
@@ -29,7 +30,7 @@ class CountingNode(Protocol):
     @property
     def is_switch_on(self) -> bool: ...
     @property
-    def counted_at_s(self) -> float: ...
+    def counted(self) -> Dating: ...
     def await_count(self) -> None: ...
 
 
@@ -77,7 +78,9 @@ class NodeEncoder(AskedEncoders):
         if self._resets != board.resets:
             self._resets, self._is_zero_set, self._latched = board.resets, self._is_absolute, None
         feedback.count[joint] = words.as_counter(board.count + self.offset)
-        feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
+        counted = board.counted
+        feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = counted.at_s
+        feedback.count_late_s[joint] = counted.late_s
         flags = words.ZERO_SET if self._is_zero_set else 0
         feedback.channel_flags[joint] = flags | (words.HOME_SWITCH if board.is_switch_on else 0)
 

@@ -62,7 +62,7 @@ def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> 
     asked_s = cell.wired.now_s()
     cell.wired.run(0.031)
     cell.bus.update()
-    assert (cell.board.counted_at_s, cell.board.at_s) == (asked_s, cell.wired.now_s())
+    assert (cell.board.counted.at_s, cell.board.at_s) == (asked_s, cell.wired.now_s())
 
 
 @pytest.mark.parametrize("others", [wire.stop(ID), wire.brake(ID)])
