@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from calib.arm_problem.expansion import Problem
+from calib.arm_problem.posed import WeightedProblem
 from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.descent import NOTHING_M, PoseSample, SearchEnd, Termination, descend
@@ -239,29 +240,34 @@ def _mean_m(problem: Problem, x: Array) -> float:
 
 
 def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int) -> Minimum:
-    """The best of all searches; undetermined unknowns may be anywhere."""
+    """The best of all searches; undetermined unknowns may be anywhere.
+
+    Covariances have the axes of a frame that is itself identified, and their weights those of its start: what turns arm and
+    frame together must not turn. It stays at nominal then; else the search turns everything to where the weights are least.
+    """
     k = len(problem.parameters)
+    held = _undetermined(problem) if isinstance(problem, WeightedProblem) else None
     bounded = np.array([parameter.has_bound for parameter in problem.parameters])
     draw = np.random.default_rng(seed)
     few = PoseSample(problem, objective, max(1, len(problem) // (POSES_PER_UNKNOWN * k)))
     ends = _Ends(few)
-    rough = _rough(few, np.zeros(k))
+    rough = _rough(few, np.zeros(k), held)
     ends.is_new(rough.x)
     if few.stride > 1:
-        ends.is_lead(descend(few, rough.x, _fine(few)).x)
-    best = _finished(problem, objective, rough)
+        ends.is_lead(descend(few, rough.x, replace(_fine(few), anchor=_anchor(few, rough.x, held))).x)
+    best = _finished(problem, objective, rough, held)
     limit = starts_count * _times(int(np.sum(np.abs(best.x[bounded]) >= 1.0)))
     done = 1
     while done < limit:
         done += 1
-        rough = _rough(few, draw.uniform(-REACH, REACH, k) * bounded)
+        rough = _rough(few, draw.uniform(-REACH, REACH, k) * bounded, held)
         if not ends.is_new(rough.x):
             continue
         if few.stride > 1:
-            rough = descend(few, rough.x, _fine(few))
+            rough = descend(few, rough.x, replace(_fine(few), anchor=_anchor(few, rough.x, held)))
             if not ends.is_lead(rough.x):
                 continue
-        minimum = _finished(problem, objective, rough)
+        minimum = _finished(problem, objective, rough, held)
         if abs(minimum.value - best.value) > DIFFERENT * best.value:
             limit = max(limit, starts_count * SEVERAL_STARTS)
         if minimum.value < best.value * (1.0 - BETTER):
@@ -308,19 +314,32 @@ class _Ends:
         return is_new
 
 
-def _rough(sample: PoseSample, start: Array) -> SearchEnd:
+def _undetermined(problem: Problem) -> Array:
+    """Combinations of unknowns (k, k - rank) that no point sees at nominal."""
+    return null_space(Sensitivity.at(problem, np.zeros(len(problem.parameters))).compact, problem.parameters, RANK_TOLERANCES[0])
+
+
+def _rough(sample: PoseSample, start: Array, held: Array | None) -> SearchEnd:
     """A search with a coarse tolerance."""
-    if isinstance(sample.objective, LeastSquares):
-        return descend(sample, start, ROUGH)
-    fitted = descend(replace(sample, objective=LeastSquares()), start, FIT)
-    return descend(sample, fitted.x, ROUGH)
+    if not isinstance(sample.objective, LeastSquares):
+        fit = replace(sample, objective=LeastSquares())
+        start = descend(fit, start, replace(FIT, anchor=_anchor(fit, start, held))).x
+    return descend(sample, start, replace(ROUGH, anchor=_anchor(sample, start, held)))
 
 
-def _finished(problem: Problem, objective: Objective, rough: SearchEnd) -> Minimum:
+def _finished(problem: Problem, objective: Objective, rough: SearchEnd, held: Array | None) -> Minimum:
     """The search to convergence on all poses."""
     sample = PoseSample(problem, objective)
-    end = descend(sample, rough.x, _fine(sample))
+    end = descend(sample, rough.x, replace(_fine(sample), anchor=_anchor(sample, rough.x, held)))
     return Minimum(end.x, sample.value(end.x), end.is_converged, objective)
+
+
+def _anchor(sample: PoseSample, x: Array, held: Array | None) -> Array | None:
+    """What holds these combinations at nominal, as stiffly as the points of the sample hold others."""
+    if held is None or not held.shape[1]:
+        return None
+    residuals, jacobian = sample.problem.residuals_and_jacobian(x, slice(None, None, sample.stride))
+    return sample.stride * _stiffness(sample.objective, residuals, jacobian) * held @ held.T
 
 
 def _fine(sample: PoseSample) -> Termination:

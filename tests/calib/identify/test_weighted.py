@@ -15,6 +15,7 @@ from calib.calibration.calibrate import CalibrationPlan, calibrate, points_in_ba
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify
 from calib.identify.objective import objective_named
+from calib.identify.solver import best_of_starts
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import COVARIANCE, Points, make_points, matrices_of, triangles
 from calib.points.reading import read_points
@@ -22,6 +23,7 @@ from calib.points.writer import write_points
 from calib.validation.verify import compare_arms
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
+from control.model.description import load_arm
 from tests.calib.simulated import RIGHT, true_dh
 
 POSES = 40
@@ -177,3 +179,27 @@ def test_a_bad_covariance_names_line_and_column(text: str, says: str, tmp_path: 
     with pytest.raises(PointsFileError) as caught:
         read_points(file)
     assert says in str(caught.value)
+
+
+def test_a_search_does_not_turn_the_arm_to_where_weights_are_least() -> None:
+    """A board on a loose arm: camera and base could turn together, which no tip feels, but weights that stand still would."""
+    arm, rng = load_arm("so101"), np.random.default_rng(7)
+    lower, upper = np.array(arm.limits_rad).T
+    q = rng.uniform(0.5 * lower, 0.5 * upper, (POSES, 5))
+    at = ForwardKinematics(arm).link_transforms(q + rng.choice([-0.0087, 0.0087], q.shape))[:, -1]
+    seen = CAMERA.inv() * Rotation.from_matrix(at[:, :3, :3])
+    covariance = [triangles(np.diag(sd) ** 2) for sd in ([1e-4, 1e-4, 2e-3], [3e-3, 3e-3, 2e-4])]
+    points = make_points(
+        ["free"] * POSES,
+        [str(k) for k in range(POSES)],
+        [1] * POSES,
+        q,
+        CAMERA.inv().apply(at[:, :3, 3] - CAMERA_m),
+        extra={"frame": ("camera",) * POSES},
+        orientation=seen.as_quat()[:, [3, 0, 1, 2]],
+        covariance=np.tile(np.concatenate(covariance), (POSES, 1)),
+    )
+    whole = whole_problem(problem_of(arm, points, Choice(freed=("camera", "tool"))))
+    best = best_of_starts(whole, objective_named("e2"), 1, 0)
+    turns = [k for k, parameter in enumerate(whole.parameters) if parameter.name in ("theta1", "alpha1", "theta2")]
+    assert np.abs(best.x[turns]).max() < 1e-3
