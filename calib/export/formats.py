@@ -187,12 +187,20 @@ def python_text(arm: Arm, published: Arm) -> str:
     return head + CODE + "\n\n" + "\n".join(_values(arm, published)) + "\n"
 
 
-def omitted(arm: Arm) -> tuple[str, ...]:
-    """A sentence for what the file leaves out."""
+def omitted(arm: Arm, published: Arm) -> tuple[str, ...]:
+    """A sentence for what the file leaves out, and one where the two tips are two places on the last link."""
     others = [effect for effect in arm.effects if effect.effect not in CORRECTED]
     names = sorted({effect.effect for effect in others})
-    sentences = (f"python corrects geometry, scale and eccentricity; not {', '.join(names)}",) if names else ()
-    return (*sentences, "python has no maps: omitted") if arm.maps else sentences
+    sentences = [f"python corrects geometry, scale and eccentricity; not {', '.join(names)}"] if names else []
+    if arm.maps:
+        sentences.append("python has no maps: omitted")
+    if arm.tool.position_m != published.tool.position_m:
+        own, theirs = (", ".join(f"{1e3 * x:.1f}" for x in shown.tool.position_m) for shown in (arm, published))
+        sentences.append(
+            f"the tip is ({own}) mm from the last link's frame, and that of {published.name} ({theirs}) mm: the first is sent to"
+            " where the second was planned; if the first is a board's place, write your tool back into [tool] before"
+        )
+    return tuple(sentences)
 
 
 def _values(arm: Arm, published: Arm) -> Iterator[str]:

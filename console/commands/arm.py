@@ -82,8 +82,9 @@ def _compensation(arm: Arm, args: argparse.Namespace) -> int:
 
     if not args.generic:
         raise ArmError("--export python: give the arm that the program plans with, such as --generic so101")
-    write_new(Path(args.out), python_text(arm, load_arm(args.generic)))
-    return _told(f"{args.out}: arm {arm.name}, for programs that plan with {args.generic}", omitted(arm))
+    published = load_arm(args.generic)
+    write_new(Path(args.out), python_text(arm, published))
+    return _told(f"{args.out}: arm {arm.name}, for programs that plan with {args.generic}", omitted(arm, published))
 
 
 def _told(what: str, notes: Sequence[str]) -> int:

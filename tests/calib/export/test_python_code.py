@@ -62,8 +62,13 @@ def test_an_encoder_that_says_something_else_is_asked_for_that() -> None:
         Effect("backlash", 3, {"width_rad": 0.02}),
     )
     arm = dataclasses.replace(published, effects=effects)
-    (said,) = omitted(arm)
+    (said,) = omitted(arm, published)
     assert said.endswith("not backlash")
+    with_board = dataclasses.replace(arm, tool=Tool((0.004, -0.006, 0.01)))
+    assert (
+        "(4.0, -6.0, 10.0) mm from the last link's frame, and that of so101 (0.0, 0.0, 0.0) mm"
+        in omitted(with_board, published)[-1]
+    )
     for wanted in poses(published, 10).tolist():
         encoder = run(python_text(arm, published))(wanted)
         joint = (1.0 + scale) * encoder[1] + amplitude * math.sin(encoder[1] + phase)
