@@ -202,7 +202,7 @@ UNITS: Final = MappingProxyType(
 AMPERES: Final = "A"
 TORQUES: Final = "Nm"
 FINE_COUNTS: Final = 1 << 24  # of an encoder that nobody described: the steps that the data show are coarser
-IDEAL: Final = Drive(1, 1.0, FINE_COUNTS, 1.0, 1.0, 1e6)
+IDEAL: Final = 1.0, FINE_COUNTS, 1.0, 1.0, 1e6  # of a drive
 
 
 def amperes_per(arm: Arm, unit: str) -> Array:
@@ -231,7 +231,7 @@ def with_ideal_drives(arm: Arm) -> Arm:
     """
     has = {drive.joint: drive for drive in arm.drives}
     joints = range(1, arm.joint_count + 1)
-    return dataclasses.replace(arm, drives=tuple(has.get(j, dataclasses.replace(IDEAL, joint=j)) for j in joints))
+    return dataclasses.replace(arm, drives=tuple(has.get(j) or Drive(j, *IDEAL) for j in joints))
 
 
 def without_voltages(log: Log) -> Log:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import RunSet, UnusableLogError, part_of, prepare
 from calib.gap.signals.sampling import period_of
 from calib.gap.signals.terms import Law
-from control.model.description import load_arm
+from control.model.description import arm_text, load_arm, parse_arm
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
@@ -265,3 +266,10 @@ def test_a_model_that_runs_away_from_a_slow_log_gives_no_figure_and_no_failure()
     pushing: tuple[Law, ...] = known_laws(ARM)
     found = motion_gaps(physics, pushing, pushing, [run.name for run in recording.runs])
     assert all(np.isfinite(one.after_rad) for one in found.values())
+
+
+def test_an_arm_with_ideal_drives_can_be_written_and_read() -> None:
+    """Of torques of joints whose drives nobody gave, or one only: each has a node of its own."""
+    for drives in ((), ARM.drives[1:2]):
+        arm = with_ideal_drives(replace(ARM, drives=drives))
+        assert len(parse_arm(arm_text(arm), Path("arm.toml")).drives) == ARM.joint_count
