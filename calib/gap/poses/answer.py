@@ -32,7 +32,7 @@ from calib.gap.poses.linear import Fit, Residuals
 from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Linearised, Looked
-from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, CHECKED_sd, SURE_sd
+from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
@@ -125,8 +125,8 @@ def _files(
     why = {name: f"{name} was identified with impossible values" for name in keys if named[name] and not last.has(name)}
     if not why:
         sought = (name for name in keys if named[name] and name not in firmer and _known(arm, name) is None)
-        far = {name: last.far_from_nothing(name, named[name]) for name in sought}
-        if least := min((name for name in far if far[name] < CHECKED_sd), key=lambda name: far[name], default=None):
+        sure = {name: last.sureness(name, estimates[name]) for name in sought}
+        if least := min((name for name in sure if sure[name] < 1.0), key=lambda name: sure[name], default=None):
             why = {least: f"{least} may as well be none, identified with what else is named"}
     if why:
         names = tuple(name for name in decision.names if name not in why)

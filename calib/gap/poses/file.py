@@ -22,6 +22,8 @@ from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.links import FRAME
 from calib.gap.finding import EffectName, Parameters, effect_of, with_totals
 from calib.gap.poses.linear import Fit
+from calib.gap.posterior.constants import CHECKED_sd
+from calib.gap.posterior.decide import Estimated, as_written, sureness
 from calib.gap.posterior.term import parameters_of
 from calib.identify.identification import Identification
 from calib.identify.objective import LeastSquares
@@ -117,28 +119,39 @@ class File:
 
     def parameters(self, name: EffectName, first: Parameters) -> Parameters:
         """Values of the file with standard deviations: the larger of the identification's and the first estimate's, and how far
-        these two are apart.
+        these two are apart (`decide.as_written`).
 
         The posterior's counts how real parts depart from their laws, the identification's what the poses scatter by. They come
         apart where something acts that the file does not hold, such as one of an ambiguous set.
         """
         effect = _of(self.arm, name)
         of_fit: Parameters = {}
-        terms = [one.name(name.joint) for one in LAWS.get(name.effect, ()) if not one.is_side]
-        if terms and all(term in self.sd for term in terms):
+        if terms := self._terms(name):
             values = np.array(linear_values(name.effect, effect.parameters))
             of_fit = parameters_of(name.effect)(values, np.diag([self.sd[term] ** 2 for term in terms]))
         parameters = {}
         for key, value in effect.parameters.items():
             before, sd = first.get(key, (value, math.nan))
             apart = value - before if key != "phase_rad" else math.remainder(value - before, 2.0 * math.pi)
-            parameters[key] = (value, math.hypot(float(np.fmax(sd, of_fit.get(key, (0.0, math.nan))[1])), apart))
+            parameters[key] = (value, math.hypot(float(np.fmax(sd, of_fit.get(key, (0.0, math.nan))[1])), apart / CHECKED_sd))
         return parameters
 
-    def far_from_nothing(self, name: EffectName, first: Parameters) -> float:
-        """How many of its standard deviations, as they are written, the size of an effect is from nought; a phase is no size."""
-        written = self.parameters(name, first)
-        return math.hypot(*(value / sd for key, (value, sd) in written.items() if key != "phase_rad" and sd != 0.0))
+    def sureness(self, name: EffectName, first: Estimated) -> float:
+        """How sure the file is of an effect, over how sure it has to be: below 1, the interval that is written holds none.
+
+        In the unknowns that the effect is linear in: a gear without softness has no stiffness of nought. What is not identified
+        stays at its first estimate.
+        """
+        value, terms = np.array(linear_values(name.effect, _of(self.arm, name).parameters)), self._terms(name)
+        if len(value) != len(first.value) or not terms:
+            return math.inf
+        larger = np.maximum(np.array([self.sd[term] for term in terms]) / first.sd, 1.0)
+        return sureness(value, as_written(first.covariance * np.outer(larger, larger), value - first.value), CHECKED_sd)
+
+    def _terms(self, name: EffectName) -> list[str]:
+        """Names of an effect's linear unknowns, if these were identified."""
+        terms = [one.name(name.joint) for one in LAWS.get(name.effect, ()) if not one.is_side]
+        return terms if all(term in self.sd for term in terms) else []
 
     def is_between_flanks(self, points: Points) -> Mask:
         """Poses (m,) of which nothing tells the flank of a loose gear: whoever reads the file takes its play's middle."""

@@ -29,6 +29,7 @@ from calib.gap.posterior.constants import (
     ROUGH,
     SIZE_COST,
     SIZE_LEVELS,
+    CHECKED_sd,
     MOSTLY_sd,
     SURE_sd,
 )
@@ -224,9 +225,24 @@ class Estimated:
 
     def differs_from(self, reference: Array) -> bool:
         """Whether the coefficients differ from others (c,) by what one of them alone would at SURE_sd."""
-        apart = self.value - reference
-        least = chdtri(len(apart), 2.0 * ndtr(-SURE_sd))  # of chi-square
-        return bool(apart @ np.linalg.solve(self.covariance, apart) > least)
+        return sureness(self.value - reference, self.covariance, SURE_sd) > 1.0
+
+
+def sureness(apart: Array, covariance: Array, least_sd: float) -> float:
+    """How far coefficients (c,) are from nothing, whatever their axes, over what one of them alone is at `least_sd`."""
+    least = chdtri(len(apart), 2.0 * ndtr(-least_sd))  # of chi-square
+    return math.sqrt(max(0.0, float(apart @ np.linalg.solve(covariance, apart))) / float(least))
+
+
+def as_written(covariance: Array, apart: Array) -> Array:
+    """Covariance (c, c) of a file's coefficients that lie `apart` (c,) from the posterior's.
+
+    The posterior has them beside all that has no name, the file's laws take its part: nothing says which of the two is right, so
+    the file's interval reaches as far as the posterior's value. Then nought is in it where it is nearer than that: the file does
+    not bear out so much of the effect as it lacks. Where it has more than the posterior, nothing speaks for none.
+    """
+    reach = apart / CHECKED_sd
+    return np.asarray(covariance + np.outer(reach, reach))
 
 
 def estimated(evidence: Evidence, weighed: Weighed, key: Key) -> Estimated:

@@ -19,11 +19,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri, ndtr
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import ROUGH, SURE_sd
+from calib.gap.posterior.decide import sureness
 from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.term import Key, Term, parameters_of
 from control.model.arm import Arm
@@ -103,7 +103,7 @@ class Told:
             return False
         (one, spread), (another, more) = self._estimate(name), other._estimate(name)
         apart = one - another
-        return bool(apart @ np.linalg.solve(spread + more, apart) > chdtri(len(apart), 2.0 * ndtr(-SURE_sd)))
+        return sureness(apart, spread + more, SURE_sd) > 1.0
 
     def words(self, name: EffectName) -> str:
         """An effect's parameters as they are known, in words."""

@@ -22,6 +22,7 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import CHECKED_sd
+from calib.gap.posterior.decide import as_written, sureness
 from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.linear import SeriesFit, without_each
 from calib.gap.series.split import Picked, RowSplit
@@ -154,8 +155,9 @@ class _Laws:
         """
         stated, sizes = self.covariances(), self.sizes()
         for member in self.members:
-            apart = sizes[member.number][: member.term.laws] - member.size[: member.term.laws]
-            stated[member.number][: len(apart), : len(apart)] += np.outer(apart, apart)
+            laws = slice(0, member.term.laws)
+            apart = sizes[member.number][laws] - member.size[laws]
+            stated[member.number][laws, laws] = as_written(stated[member.number][laws, laws], apart)
         return stated
 
     def against(self, names: Collection[EffectName]) -> dict[EffectName, str]:
@@ -169,9 +171,9 @@ class _Laws:
             if not _is_listed(member) or place.start == place.stop:
                 continue
             needed[_name(member)] = self._missed(place)
-            size, sd = self.whole[place], np.sqrt(np.diag(covariance[member.number])[: place.stop - place.start])
-            far = float(np.linalg.norm(size / np.maximum(sd, 1e-300)))
-            if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < CHECKED_sd):
+            size, laws = self.whole[place], slice(0, place.stop - place.start)
+            far = sureness(size, covariance[member.number][laws, laws], CHECKED_sd)
+            if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < 1.0):
                 worst[_name(member)] = far if size[0] > 0.0 else -far
         if worst:
             return {min(worst, key=lambda key: worst[key]): "may as well be none, identified with what else is named"}

@@ -9,7 +9,8 @@ import pytest
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName
-from calib.gap.posterior.decide import decide, included
+from calib.gap.posterior.constants import CHECKED_sd
+from calib.gap.posterior.decide import as_written, decide, included, sureness
 from calib.gap.posterior.evidence import Evidence, Gram, Weighed
 from calib.gap.posterior.search import MergingSearch, Search
 from calib.gap.posterior.term import Block, Term
@@ -207,3 +208,22 @@ def test_a_block_that_bends_a_law_no_more_than_real_parts_do_is_that_law(bend: f
     decision = decide(evidence, _weighed_as(evidence, {0: 0.0, 1: -2.5}))
     assert decision.probability[softness] == pytest.approx(1.0 if is_named else 1.0 / (1.0 + np.exp(-2.5)))
     assert (decision.names == (softness,)) == is_named
+
+
+def test_how_sure_an_effect_is_does_not_depend_on_its_axes() -> None:
+    value, covariance = np.array([3.0, 0.1]), np.diag([1.0, 0.2])
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    turned = sureness(turn @ value, turn @ covariance @ turn.T, CHECKED_sd)
+    assert turned == pytest.approx(sureness(value, covariance, CHECKED_sd), rel=1e-12)
+    assert sureness(np.array([CHECKED_sd]), np.eye(1), CHECKED_sd) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("of_posterior", "is_there"), [(4.0, True), (2.1, True), (1.9, True), (0.1, True), (-0.1, False), (9.0, False)]
+)
+def test_a_files_interval_reaches_the_posteriors_value(of_posterior: float, is_there: bool) -> None:
+    """Of a value of 4.4 in the file: nought is in it where the posterior's lies further away than nought."""
+    value = np.array([4.4])
+    covariance = as_written(np.array([[1e-6]]), value - of_posterior)
+    assert CHECKED_sd * np.sqrt(covariance[0, 0]) == pytest.approx(abs(4.4 - of_posterior), rel=1e-3)
+    assert (sureness(value, covariance, CHECKED_sd) > 1.0) == is_there

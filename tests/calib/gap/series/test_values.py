@@ -57,9 +57,12 @@ def test_a_value_at_the_end_of_its_range_is_known_no_better_for_that() -> None:
     assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(0.2, 5.0) * UNIT_rad_Nm)
 
 
-@pytest.mark.parametrize(("of_posterior", "is_dropped"), [(1.2, False), (4.0, True)])
+@pytest.mark.parametrize(("of_posterior", "is_dropped"), [(1.2, False), (4.0, True), (0.3, False)])
 def test_a_name_whose_written_interval_holds_nought_is_none(of_posterior: float, is_dropped: bool) -> None:
-    """Both values are sure by themselves; what they are apart is part of what is written, 1 +- 3 where they are 1 and 4."""
+    """All values are sure by themselves. The file's interval reaches the posterior's: 1 +- 3 where they are 1 and 4.
+
+    Where the file has more than the posterior, nought is beyond both.
+    """
     belt = EffectName("belt_coupling", 3)
     draw = np.random.default_rng(5)
     columns = draw.standard_normal((400, 1))
@@ -69,7 +72,7 @@ def test_a_name_whose_written_interval_holds_nought_is_none(of_posterior: float,
     linear = SimpleNamespace(y=columns[:, 0] + 0.5 * draw.standard_normal(400), terms=())
     fit: Any = SimpleNamespace(linear=linear, point=SimpleNamespace(scene=scene, known=()))
     parts: Any = SimpleNamespace(groups=groups, deciding=np.ones(400, dtype=bool))
-    member = Member(0, term, np.array([of_posterior]), np.diag([0.2**2]), np.zeros((1, 1)))
+    member = Member(0, term, np.array([of_posterior]), np.diag([0.1**2]), np.zeros((1, 1)))
     assert (belt in identified(fit, [member], parts).dropped) == is_dropped
 
 
