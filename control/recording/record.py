@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, Protocol
 
 from control.dynamics.joint_side import has_joint_side
 from control.end_effector.gripper import GripState
+from control.files import NotWritten
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.recording.frames import content_of, stored_columns
@@ -148,12 +149,15 @@ class FileSink:
 
     def __init__(self, path: Path, header: bytes) -> None:
         self._file: BinaryIO = path.open("xb")
-        self._file.write(header)
         self._state = RecorderState(True, str(path))
+        self.write(header)
 
     def write(self, row: bytes) -> bool:
-        """Append the row."""
-        self._file.write(row)
+        """Append the row. NotWritten where there is no room for it."""
+        try:
+            self._file.write(row)
+        except OSError as error:
+            raise NotWritten.of(error, Path(self._state.file)) from error
         return True
 
     def state(self) -> RecorderState:
@@ -161,8 +165,11 @@ class FileSink:
         return self._state
 
     def close(self) -> None:
-        """Flush and close."""
-        self._file.close()
+        """Flush and close. NotWritten where there is no room for the last rows."""
+        try:
+            self._file.close()
+        except OSError as error:
+            raise NotWritten.of(error, Path(self._state.file)) from error
 
 
 class PipeSink:

@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from control.files import NotWritten
 from control.recording.reading import RecordError, Recording
 from control.recording.record import MAGIC, FileSink, Layout, NoSink, PipeSink, Recorder
 from control.recording.recorder_state import RecorderState
@@ -264,3 +265,13 @@ def test_the_loop_hears_the_newest_report_however_long_it_has_not_listened() -> 
     assert recorder.state().reason == "full"
     recorder.close()
     os.close(read_fd)
+
+
+def test_a_recording_without_room_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.armlog"
+    sink = FileSink(path, b"")
+    sink.close()
+    sink._file = open("/dev/full", "wb", buffering=0)  # noqa: PTH123, SIM115 - the sink closes it
+    with pytest.raises(NotWritten, match=r"a\.armlog: not written: No space left on device"):
+        sink.write(b"row")
+    sink.close()
