@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
 from calib.arrays import Array
@@ -151,8 +152,9 @@ class Evidence:
         """
         if not len(at):
             return np.zeros((0, len(self.gram.pull[others]) + 1))
-        half = np.linalg.inv(self._inner(at, sd, kappa)) * sd
-        return np.column_stack((half @ self.gram.among(at, others, kappa), half @ self.gram.drawn(at, kappa)))
+        both = np.column_stack((self.gram.among(at, others, kappa), self.gram.drawn(at, kappa)))
+        both *= sd[:, None]
+        return np.asarray(solve_triangular(self._inner(at, sd, kappa), both, lower=True, overwrite_b=True, check_finite=False))
 
     def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
         """What every term (or only those of a key) would add to a set."""
@@ -179,20 +181,13 @@ class Evidence:
             part = factor[batch.places]  # (t, c, k)
             seen -= part @ part.transpose(0, 2, 1)
         sd = batch.sd
-        whole = np.eye(sd.shape[1]) + seen[:, None] * (sd[:, :, None] * sd[:, None, :])
-        drawn = pull[batch.places][:, None, :] * sd
-        if sd.shape[1] == 1:  # most blocks
-            inverse, spread = 1.0 / whole, np.log(whole[..., 0, 0])
-        else:
-            inverse, spread = np.asarray(np.linalg.inv(whole)), np.linalg.slogdet(whole)[1]
-        size = (inverse @ drawn[..., None])[..., 0]
-        log = 0.5 * np.sum(drawn * size, axis=2) - 0.5 * spread + batch.weight
-        width = np.sqrt(inverse[..., 0, 0])
+        law_sizes, width, log = _estimates(seen, pull[batch.places], sd, batch.laws)
+        log = log + batch.weight
         # sizes are counted in sd here; a departure is a share of the law: without the law there is none
         least = np.where(np.any(sd[:, batch.laws :] > 0.0, axis=1) & batch.is_name, LAW_LEAST, -np.inf)
-        law = np.linalg.norm(size[..., : batch.laws], axis=2)
+        law = np.linalg.norm(law_sizes, axis=2)
         if batch.is_positive:
-            law, own_least, most = size[..., 0], batch.least / sd[:, 0], batch.most / sd[:, 0]
+            law, own_least, most = law_sizes[..., 0], batch.least / sd[:, 0], batch.most / sd[:, 0]
             least = np.maximum(least, own_least)
             # what is known to be positive is so with twice the density; a secant says nothing beyond its reach
             is_beyond = np.isfinite(most) & ((law <= own_least) | (law >= most))
@@ -251,6 +246,35 @@ class Evidence:
         wanted = math.log(kappa)
         near = -0.5 * (wanted / self.doubt) ** 2 - math.log(self.doubt * math.sqrt(2.0 * math.pi))
         return float(np.logaddexp(near, -wanted if wanted > 0.0 else -np.inf))
+
+
+def _estimates(seen: Array, pull: Array, sd: Array, laws: int) -> tuple[Array, Array, Array]:
+    """Of terms (t,) with G (t, c, c) and h (t, c), at each of their scales sd (h, c): the coefficients of the laws (t, h, laws)
+    and the standard deviation of the first (t, h), in sd, and ln Z (t, h).
+
+    With A = I + V^1/2 G V^1/2 and b = V^1/2 h, the bordered matrix [A b; b' m] has Cholesky's factor [L 0; z' .], L z = b, for
+    every m > b'b, as A > I: ln Z = z'z / 2 - sum ln diag L. Columns go from the last to the first, so that the coefficients
+    A^-1 b of the laws are those which L' gives first, and the first one's variance is the square of 1 / the last of diag L.
+    """
+    terms, count = pull.shape
+    if count == 1:  # most blocks
+        inner, drawn = 1.0 + seen[:, :, 0] * sd[:, 0] ** 2, pull * sd[:, 0]
+        size = drawn / inner
+        return size[..., None], np.sqrt(1.0 / inner), 0.5 * (drawn * size - np.log(inner))
+    back = sd[:, ::-1]
+    bordered = np.empty((terms, len(sd), count + 1, count + 1))
+    np.multiply(seen[:, None, ::-1, ::-1], back[:, :, None] * back[:, None, :], out=bordered[..., :-1, :-1])
+    bordered[..., :-1, :-1] += np.eye(count)
+    drawn = np.multiply(pull[:, None, ::-1], back, out=bordered[..., -1, :-1])
+    bordered[..., -1, -1] = 1.0 + np.sum(drawn**2, axis=2)
+    root = np.linalg.cholesky(bordered)  # of the lower triangle alone
+    solved, diagonal = root[..., -1, :-1], np.diagonal(root, axis1=2, axis2=3)[..., :-1]
+    size = np.empty((terms, len(sd), laws))
+    for k in range(laws):
+        at = count - 1 - k
+        known = np.sum(root[..., at + 1 : -1, at] * size[..., :k][..., ::-1], axis=2)
+        size[..., k] = (solved[..., at] - known) / diagonal[..., at]
+    return size, 1.0 / diagonal[..., -1], 0.5 * np.sum(solved**2, axis=2) - np.sum(np.log(diagonal), axis=2)
 
 
 @dataclass(frozen=True, slots=True)
