@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,18 +22,11 @@ from calib.gap.signals.terms import Law
 
 
 @dataclass(frozen=True, slots=True)
-class Stack:
-    """What moves one cell: `columns` (its rows, 1 + c), y first, and the place of each other one among all columns."""
-
-    columns: Array
-    places: Places
-
-
-@dataclass(frozen=True, slots=True)
 class SeriesLinear:
     """Terms, and y (rows,): what the arm does beyond what is known, as if no term were in the model yet.
 
-    Columns are counted with those of `nuisances` first. `stacks`: one a cell, of thin rows, as `thin_y` (thin rows,) is.
+    Columns are counted with those of `nuisances` first; `thin_y` (thin rows,) as evidence counts rows. Terms' columns are put
+    side by side where they are asked for: kept so, each linearisation would have a copy of what it shares with the others.
     """
 
     scene: SeriesScene
@@ -41,7 +34,6 @@ class SeriesLinear:
     nuisances: tuple[SeriesTerm, ...]
     y: Array
     thin_y: Array
-    stacks: tuple[Stack, ...]
     places: tuple[Places, ...]  # of each term's columns
 
     @classmethod
@@ -52,23 +44,29 @@ class SeriesLinear:
             if term.now is not None and term.key in point.laws:
                 for number, response in term.response.items():
                     y[point.scene.cells[number].rows] += response[:, : len(term.now)] @ term.now
-        whole = (*nuisances, *terms)
-        ends = np.cumsum([0, *(term.count for term in whole)]).tolist()
-        places = [np.arange(first, end) for first, end in itertools.pairwise(ends)]
-        stacks = []
-        for k, (cell, thin) in enumerate(zip(point.scene.cells, point.scene.thinned, strict=True)):
-            moving = [number for number, term in enumerate(whole) if k in term.response]
-            parts = (y[cell.rows][:, None], *(whole[number].response[k] for number in moving))
-            columns = np.hstack([thin.of(part) for part in parts])
-            stacks.append(Stack(columns, np.concatenate([np.zeros(0, np.intp), *(places[number] for number in moving)])))
-        thin_y = np.concatenate([stack.columns[:, 0] for stack in stacks])
-        own_places = tuple(places[len(nuisances) :])
-        return cls(point.scene, tuple(terms), tuple(nuisances), y, thin_y, tuple(stacks), own_places)
+        thin = zip(point.scene.cells, point.scene.thinned, strict=True)
+        thin_y = np.concatenate([thinned.of(y[cell.rows]) for cell, thinned in thin])
+        ends = np.cumsum([sum(term.count for term in nuisances), *(term.count for term in terms)]).tolist()
+        places = tuple(np.arange(first, end) for first, end in itertools.pairwise(ends))
+        return cls(point.scene, tuple(terms), tuple(nuisances), y, thin_y, places)
+
+    def _moving(self, k: int) -> Iterator[tuple[Array, Places]]:
+        """Columns (rows, c) of each term that moves a cell, and their places among all."""
+        ends = np.cumsum([0, *(term.count for term in self.nuisances)]).tolist()
+        own = (np.arange(first, end) for first, end in itertools.pairwise(ends))
+        for term, places in zip((*self.nuisances, *self.terms), (*own, *self.places), strict=True):
+            if k in term.response:
+                yield term.response[k], places
 
     @property
     def first(self) -> int:
         """How many columns nuisances have."""
         return sum(term.count for term in self.nuisances)
+
+    @property
+    def count(self) -> int:
+        """How many columns there are."""
+        return self.first + sum(term.count for term in self.terms)
 
     def at(self, numbers: Sequence[int]) -> Places:
         """Places of the columns of terms by number, after the nuisances'."""
@@ -78,14 +76,16 @@ class SeriesLinear:
         """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it, and what
         other recordings tell.
         """
-        total = self.first + sum(term.count for term in self.terms)
-        seen, pull, squares, count = np.zeros((total, total)), np.zeros(total), 0.0, 0
+        total, squares, count = self.count, 0.0, 0
+        seen, pull = np.zeros((total, total)), np.zeros(total)
         for k, thin in enumerate(self.scene.thin):
             picked = rows[thin]
             if not picked.any():
                 continue
-            columns = self.scene.series[k].whitener(noises[k], picked) @ self.stacks[k].columns
-            inner, at = columns.T @ columns, self.stacks[k].places
+            moving, thinned = list(self._moving(k)), self.scene.thinned[k]
+            beside = np.column_stack([self.thin_y[thin], *(thinned.of(columns) for columns, _ in moving)])
+            white = self.scene.series[k].whitener(noises[k], picked) @ beside
+            inner, at = white.T @ white, np.concatenate([np.zeros(0, np.intp), *(places for _, places in moving)])
             seen[np.ix_(at, at)] = seen[np.ix_(at, at)] + inner[1:, 1:]
             pull[at] += inner[1:, 0]
             squares += float(inner[0, 0])
@@ -96,10 +96,13 @@ class SeriesLinear:
 
     def thin_columns(self, places: Places) -> Array:
         """What some columns do to all thin rows, (thin rows, c)."""
-        columns = np.zeros((len(self.thin_y), len(places)))
-        for rows, stack in zip(self.scene.thin, self.stacks, strict=True):
-            _, here, there = np.intersect1d(places, stack.places, return_indices=True)
-            columns[rows, here] = stack.columns[:, 1 + there]
+        columns, number = np.zeros((len(self.thin_y), len(places))), np.full(self.count, -1)
+        number[places] = np.arange(len(places))
+        for k, rows in enumerate(self.scene.thin):
+            for response, own in self._moving(k):
+                asked = number[own] >= 0
+                if asked.any():
+                    columns[rows, number[own][asked]] = self.scene.thinned[k].of(response[:, asked])
         return columns
 
     def explained(self, numbers: Sequence[int], size: Array) -> Array:
