@@ -78,9 +78,12 @@ def _shared(finding: GapFinding, names: Sequence[EffectName]) -> str:
 def _departing(finding: GapFinding) -> Iterator[str]:
     """How much of what arm.toml leaves is no riddle: named parts depart from their laws."""
     if finding.gap_after > AT_FLOOR and finding.gap_after > UNTOLD * finding.gap_explained:
+        departing = {effect.name.effect for effect in finding.effects if effect.departure > 0.0}
+        is_play = departing == {"backlash"}
+        more = "A play that lies on another flank is in no map." if is_play else "Measured maps (--map) hold more."
         yield (
-            "arm.toml has the laws alone; with the departures of these parts from them"
-            f" {finding.gap_explained:.2f} times the noise would remain. Measured maps (--map) hold more."
+            "arm.toml has the laws alone; with the departures of these parts from them, and plays on their flanks,"
+            f" {finding.gap_explained:.2f} times the noise would remain. {more}"
         )
 
 

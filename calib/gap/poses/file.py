@@ -153,11 +153,11 @@ class File:
         terms = [one.name(name.joint) for one in LAWS.get(name.effect, ()) if not one.is_side]
         return terms if all(term in self.sd for term in terms) else []
 
-    def is_between_flanks(self, points: Points) -> Mask:
-        """Poses (m,) of which nothing tells the flank of a loose gear: whoever reads the file takes its play's middle."""
+    def between_flanks(self, points: Points) -> dict[int, Mask]:
+        """Of each loose joint the poses (m,) of which nothing tells the flank: whoever reads the file takes its play's middle."""
         at = resting_points(self.arm, points)
-        unclear = [at.flank(one.joint) == 0.0 for one in self.arm.effects if one.effect == "backlash" and one.joint]
-        return np.any(unclear, axis=0) if unclear else np.zeros(len(points), dtype=bool)
+        loose = [one.joint for one in self.arm.effects if one.effect == "backlash" and one.joint]
+        return {joint: at.flank(joint) == 0.0 for joint in loose}
 
 
 def _shared(

@@ -134,7 +134,9 @@ def test_two_or_three_effects_at_once_are_both_found(pair) -> None:
     assert rms(found.stages[-1][1][where_known]) < 1.1 * found.floor.tip_m
     # all held-out poses count: elsewhere the file has the middle of the play
     if unclear[found.split.report].any():
-        assert any("on which flank a loose gear lies" in said for said in found.warnings)
+        said = "\n".join(found.warnings)
+        assert all(f"on which flank the loose gear of joint {joint} lies" in said for joint in loose)
+        assert all(f"Record these poses with joint {joint} moved there in both directions" in said for joint in loose)
         assert 1.1 < found.finding.gap_after < 2.0
     else:
         assert found.finding.gap_after < 1.1
