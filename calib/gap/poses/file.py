@@ -23,7 +23,7 @@ from calib.gap.effects.links import FRAME
 from calib.gap.finding import EffectName, Parameters, effect_of, with_totals
 from calib.gap.poses.linear import Fit
 from calib.gap.posterior.constants import CHECKED_sd
-from calib.gap.posterior.decide import Estimated, as_written, sureness
+from calib.gap.posterior.decide import Estimated, reaching, sureness
 from calib.gap.posterior.term import parameters_of
 from calib.identify.identification import Identification
 from calib.identify.objective import LeastSquares
@@ -119,7 +119,7 @@ class File:
 
     def parameters(self, name: EffectName, first: Parameters) -> Parameters:
         """Values of the file with standard deviations: the larger of the identification's and the first estimate's, and how far
-        these two are apart (`decide.as_written`).
+        these two are apart.
 
         The posterior's counts how real parts depart from their laws, the identification's what the poses scatter by. They come
         apart where something acts that the file does not hold, such as one of an ambiguous set.
@@ -133,11 +133,11 @@ class File:
         for key, value in effect.parameters.items():
             before, sd = first.get(key, (value, math.nan))
             apart = value - before if key != "phase_rad" else math.remainder(value - before, 2.0 * math.pi)
-            parameters[key] = (value, math.hypot(float(np.fmax(sd, of_fit.get(key, (0.0, math.nan))[1])), apart / CHECKED_sd))
+            parameters[key] = (value, math.hypot(float(np.fmax(sd, of_fit.get(key, (0.0, math.nan))[1])), apart))
         return parameters
 
     def sureness(self, name: EffectName, first: Estimated) -> float:
-        """How sure the file is of an effect, over how sure it has to be: below 1, the interval that is written holds none.
+        """How sure the file is of an effect, over how sure it has to be: below 1, it may be none.
 
         In the unknowns that the effect is linear in: a gear without softness has no stiffness of nought. What is not identified
         stays at its first estimate.
@@ -146,7 +146,7 @@ class File:
         if len(value) != len(first.value) or not terms:
             return math.inf
         larger = np.maximum(np.array([self.sd[term] for term in terms]) / first.sd, 1.0)
-        return sureness(value, as_written(first.covariance * np.outer(larger, larger), value - first.value), CHECKED_sd)
+        return sureness(value, reaching(first.covariance * np.outer(larger, larger), value - first.value), CHECKED_sd)
 
     def _terms(self, name: EffectName) -> list[str]:
         """Names of an effect's linear unknowns, if these were identified."""

@@ -234,12 +234,13 @@ def sureness(apart: Array, covariance: Array, least_sd: float) -> float:
     return math.sqrt(max(0.0, float(apart @ np.linalg.solve(covariance, apart))) / float(least))
 
 
-def as_written(covariance: Array, apart: Array) -> Array:
-    """Covariance (c, c) of a file's coefficients that lie `apart` (c,) from the posterior's.
+def reaching(covariance: Array, apart: Array) -> Array:
+    """Covariance (c, c) with which a file's coefficients, `apart` (c,) from the posterior's, are asked whether they are none.
 
     The posterior has them beside all that has no name, the file's laws take its part: nothing says which of the two is right, so
-    the file's interval reaches as far as the posterior's value. Then nought is in it where it is nearer than that: the file does
-    not bear out so much of the effect as it lacks. Where it has more than the posterior, nothing speaks for none.
+    the interval reaches as far as the posterior's value. Then nought is in it where it is nearer than that: the file does not
+    bear out so much of the effect as it lacks. Where it has more than the posterior, nothing speaks for none. What is written
+    counts all of `apart` as one standard deviation: neither of the two need be the end.
     """
     reach = apart / CHECKED_sd
     return np.asarray(covariance + np.outer(reach, reach))

@@ -22,7 +22,7 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import CHECKED_sd
-from calib.gap.posterior.decide import as_written, sureness
+from calib.gap.posterior.decide import reaching, sureness
 from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.linear import SeriesFit, without_each
 from calib.gap.series.split import Picked, RowSplit
@@ -157,14 +157,14 @@ class _Laws:
         for member in self.members:
             laws = slice(0, member.term.laws)
             apart = sizes[member.number][laws] - member.size[laws]
-            stated[member.number][laws, laws] = as_written(stated[member.number][laws, laws], apart)
+            stated[member.number][laws, laws] += np.outer(apart, apart)
         return stated
 
     def against(self, names: Collection[EffectName]) -> dict[EffectName, str]:
         """The effect that stands least, if one does not, and why: a name that may be none, a value without which the runs are
         predicted as well.
         """
-        covariance = self.stated()  # the interval that is written is the one that must not hold nought
+        covariance = self.covariances()
         worst: dict[EffectName, float] = {}
         needed: dict[EffectName, float] = {}
         for member, place in zip(self.members, self.places, strict=True):
@@ -172,7 +172,8 @@ class _Laws:
                 continue
             needed[_name(member)] = self._missed(place)
             size, laws = self.whole[place], slice(0, place.stop - place.start)
-            far = sureness(size, covariance[member.number][laws, laws], CHECKED_sd)
+            spread = reaching(covariance[member.number][laws, laws], size - member.size[laws])
+            far = sureness(size, spread, CHECKED_sd)
             if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < 1.0):
                 worst[_name(member)] = far if size[0] > 0.0 else -far
         if worst:

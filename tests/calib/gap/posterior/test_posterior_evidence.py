@@ -10,7 +10,7 @@ from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import CHECKED_sd
-from calib.gap.posterior.decide import as_written, decide, included, sureness
+from calib.gap.posterior.decide import decide, included, reaching, sureness
 from calib.gap.posterior.evidence import Evidence, Gram, Weighed
 from calib.gap.posterior.search import MergingSearch, Search
 from calib.gap.posterior.term import Block, Term
@@ -224,6 +224,6 @@ def test_how_sure_an_effect_is_does_not_depend_on_its_axes() -> None:
 def test_a_files_interval_reaches_the_posteriors_value(of_posterior: float, is_there: bool) -> None:
     """Of a value of 4.4 in the file: nought is in it where the posterior's lies further away than nought."""
     value = np.array([4.4])
-    covariance = as_written(np.array([[1e-6]]), value - of_posterior)
+    covariance = reaching(np.array([[1e-6]]), value - of_posterior)
     assert CHECKED_sd * np.sqrt(covariance[0, 0]) == pytest.approx(abs(4.4 - of_posterior), rel=1e-3)
     assert (sureness(value, covariance, CHECKED_sd) > 1.0) == is_there
