@@ -43,13 +43,13 @@ class Dating:
         self.at_s, self.late_s = at_s, late_s
 
 
-class Answers(Dating):
+class AnswersInTurn(Dating):
     """Of a board that measures when it is asked, and does not say which question it answers.
 
     Answers come in the order of the questions, but a busy host, adapter or drive may be late by more than a cycle. So each is of
     the oldest open question at the earliest, and of the newest one at the latest; dated by the newest, one that was late in the
     cycle before would look like twice the speed. Questions that stay open while `LOST` answers or questions come were lost, or
-    their answers. One answer too many shows that those before were late nevertheless.
+    their answers. As many answers too many show that those before were late nevertheless; further ones were not asked for.
     """
 
     def __init__(self) -> None:
@@ -57,6 +57,7 @@ class Answers(Dating):
         self._open_s: deque[float] = deque(maxlen=LOST)
         self._asked_s = -math.inf
         self._behind, self._fewest = 0, LOST  # answers in a row that left questions open, and the fewest that they left
+        self._lost = 0  # questions whose answers may yet come
 
     def asked(self, now_s: float) -> None:
         """A question was sent."""
@@ -67,13 +68,16 @@ class Answers(Dating):
         """One more answer."""
         open_s = self._open_s
         if not open_s:
-            self._date(self.at_s, self.late_s + now_s - self._asked_s)
+            if self._lost:
+                self._lost -= 1
+                self._date(self.at_s, self.late_s + now_s - self._asked_s)
             return
         if len(open_s) > 1:
             self._behind, self._fewest = self._behind + 1, min(self._fewest, len(open_s) - 1)
             lost = len(open_s) - 1 if len(open_s) == LOST else self._fewest if self._behind == LOST else 0
             for _ in range(lost):
                 open_s.popleft()
+            self._lost = min(self._lost + lost, LOST)
         at_s = open_s.popleft()
         if not open_s or self._behind == LOST:
             self._behind, self._fewest = 0, LOST

@@ -254,7 +254,7 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
     rough = _rough(few, np.zeros(k), held)
     ends.is_new(rough.x)
     if few.stride > 1:
-        ends.is_lead(descend(few, rough.x, replace(_fine(few), anchor=_anchor(few, rough.x, held))).x)
+        ends.is_lead(_descended(few, rough.x, _fine(few), held).x)
     best = _finished(problem, objective, rough, held)
     limit = starts_count * _times(int(np.sum(np.abs(best.x[bounded]) >= 1.0)))
     done = 1
@@ -264,7 +264,7 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
         if not ends.is_new(rough.x):
             continue
         if few.stride > 1:
-            rough = descend(few, rough.x, replace(_fine(few), anchor=_anchor(few, rough.x, held)))
+            rough = _descended(few, rough.x, _fine(few), held)
             if not ends.is_lead(rough.x):
                 continue
         minimum = _finished(problem, objective, rough, held)
@@ -323,23 +323,24 @@ def _rough(sample: PoseSample, start: Array, held: Array | None) -> SearchEnd:
     """A search with a coarse tolerance."""
     if not isinstance(sample.objective, LeastSquares):
         fit = replace(sample, objective=LeastSquares())
-        start = descend(fit, start, replace(FIT, anchor=_anchor(fit, start, held))).x
-    return descend(sample, start, replace(ROUGH, anchor=_anchor(sample, start, held)))
+        start = _descended(fit, start, FIT, held).x
+    return _descended(sample, start, ROUGH, held)
 
 
 def _finished(problem: Problem, objective: Objective, rough: SearchEnd, held: Array | None) -> Minimum:
     """The search to convergence on all poses."""
     sample = PoseSample(problem, objective)
-    end = descend(sample, rough.x, replace(_fine(sample), anchor=_anchor(sample, rough.x, held)))
+    end = _descended(sample, rough.x, _fine(sample), held)
     return Minimum(end.x, sample.value(end.x), end.is_converged, objective)
 
 
-def _anchor(sample: PoseSample, x: Array, held: Array | None) -> Array | None:
-    """What holds these combinations at nominal, as stiffly as the points of the sample hold others."""
+def _descended(sample: PoseSample, start: Array, goal: Termination, held: Array | None) -> SearchEnd:
+    """A search that holds these combinations at nominal, as stiffly as the points of the sample hold others."""
     if held is None or not held.shape[1]:
-        return None
-    residuals, jacobian = sample.problem.residuals_and_jacobian(x, slice(None, None, sample.stride))
-    return sample.stride * _stiffness(sample.objective, residuals, jacobian) * held @ held.T
+        return descend(sample, start, goal)
+    residuals, jacobian = sample.problem.residuals_and_jacobian(start, slice(None, None, sample.stride))
+    stiffness = sample.stride * _stiffness(sample.objective, residuals, jacobian)
+    return descend(sample, start, replace(goal, anchor=stiffness * held @ held.T))
 
 
 def _fine(sample: PoseSample) -> Termination:

@@ -16,7 +16,7 @@ from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, MisuseError, Problems
 from firmware_iface.link import FrameLink
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
-from firmware_iface.node_bus import Answers
+from firmware_iface.node_bus import AnswersInTurn
 
 FrameHandler = Callable[[bytes, float], None]
 HOST_NODE = 127  # the node id of our heartbeat
@@ -33,11 +33,11 @@ class CanOpenBus:
         self.problems = Problems()
         self.synced_at_s = clock.now_s()
         self._handlers: dict[int, FrameHandler] = {}
-        self._answers: list[Answers] = []
+        self._answers: list[AnswersInTurn] = []
         self._heartbeat_every_s = heartbeat_every_s
         self._next_heartbeat_s = -math.inf
 
-    def add(self, node: int, handlers: dict[int, FrameHandler], counted: Answers) -> None:
+    def add(self, node: int, handlers: dict[int, FrameHandler], counted: AnswersInTurn) -> None:
         """Dispatch frames with these base ids of a node; `counted` are its answers to SYNC. Raises MisuseError."""
         if node not in wire.NODES or node == HOST_NODE:
             raise MisuseError(f"CAN bus {self.name}: node ids are 1 to 126, got {node}")
@@ -161,7 +161,7 @@ class Cia402Drive:
         self.torque_permille = 0
         self.at_s = -math.inf
         """The SYNC before they came."""
-        self.counted = Answers()
+        self.counted = AnswersInTurn()
         self.supply_mV: int | None = None
         self._supply_at_s = self._inputs_at_s = -math.inf
         self._inputs = 0  # object 0x60FD

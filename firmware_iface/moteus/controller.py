@@ -8,7 +8,7 @@ from typing import Final
 from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.wire import Frame, MoteusMode, Register
-from firmware_iface.node_bus import Answers, NodeBoard, NodeBus
+from firmware_iface.node_bus import AnswersInTurn, NodeBoard, NodeBus
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
@@ -43,7 +43,7 @@ class Moteus(NodeBoard):
         """The command of the next cycle; at first none, so that nothing changes by connecting."""
         self.mode, self.fault = int(MoteusMode.STOPPED), 0
         self.at_s = -math.inf
-        self.counted = Answers()
+        self.counted = AnswersInTurn()
         self._driven_for = 0  # commands in a row that were of position mode
         self._was_obeying = self._is_ousted = False
         self._milliseconds = 0
@@ -78,8 +78,12 @@ class Moteus(NodeBoard):
     def stop_now(self) -> None:
         """Short the windings before the cycle's end. Raises LinkLost."""
         self.wanted = wire.brake(self.number)
+        self._send(self.wanted)
+
+    def _send(self, frame: Frame) -> None:
+        """One that asks for the values, too."""
         self.counted.asked(self._bus.clock.now_s())
-        self._bus.send(self.wanted)
+        self._bus.send(frame)
 
     # ---- outside of the cycle
 
@@ -140,8 +144,7 @@ class Moteus(NodeBoard):
 
     def reset_fault(self) -> bool:
         """End a fault or time-out; the windings are shorted then. Returns whether it is gone. BoardSilent."""
-        self.counted.asked(self._bus.clock.now_s())
-        self._bus.send(wire.stop(self.number))
+        self._send(wire.stop(self.number))
         self.wanted = wire.brake(self.number)
         end_s = self._bus.clock.now_s() + SETTLE_s
         self.await_status()

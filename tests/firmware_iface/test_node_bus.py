@@ -1,18 +1,22 @@
 """Counts that come without a time, from boards that send at a rate of their own or are asked: what speed they make."""
 
+import math
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from control.hardware.measurement import Measurement
-from firmware_iface.node_bus import LOST, Answers, Dating, SteadyMessages
+from control.model.joint_map import JointMap
+from firmware_iface.node_bus import LOST, AnswersInTurn, Dating, SteadyMessages
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.vesc.controller import Vesc, VescBus
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
+from tests.cell import RIGHT
 from tests.firmware_iface.mock_wire import BusRig
 
 TURNS_S = 2.0
@@ -20,18 +24,12 @@ SETTLES_S = 5.0
 CYCLE_S = 0.004
 
 
-class Microradians:
-    """The count of a joint that moves at 1 rad/s is the time."""
-
-    def radians(self, count: float) -> float:
-        return 1e-6 * count
-
-
 class Speeds:
     """As the loop measures them, from the newest count of each drain."""
 
     def __init__(self) -> None:
-        self._measured = Measurement([Microradians()], [32])  # type: ignore[list-item]
+        microradians = replace(RIGHT.drives[0], encoder_counts_per_rev=1, gear_ratio=2e6 * math.pi)
+        self._measured = Measurement([JointMap(microradians)], [32])
         self.rad_s: list[float] = []
 
     def take(self, made_s: float, at_s: float, late_s: float) -> None:
@@ -108,7 +106,7 @@ def speeds_of_answers(
     lateness_s: Callable[[float], float] = lambda asked_s: 0.0, lost: Callable[[int], bool] = lambda k: False
 ) -> Speeds:
     """Of questions at the end of each cycle, whose answers come so late, in order, if they are not lost."""
-    speeds, answers, waiting = Speeds(), Answers(), []
+    speeds, answers, waiting = Speeds(), AnswersInTurn(), []
     for cycle in range(2500):
         now_s = cycle * CYCLE_S
         newest = None
@@ -147,8 +145,18 @@ def test_lost_answers_disturb_no_speed_for_long(in_a_row: int) -> None:
     assert max(off) < 0.2
 
 
+def test_answers_that_nobody_asked_for_leave_the_date_as_it_is() -> None:
+    """Another host's SYNC is answered, too; a doubt of a cycle in each cycle would hide a joint that is too fast."""
+    answers = AnswersInTurn()
+    for cycle in range(20):
+        answers.asked(cycle * CYCLE_S)
+        for late_s in (0.001, 0.002):
+            answers.arrived(cycle * CYCLE_S + late_s)
+            assert (answers.at_s, answers.late_s) == (cycle * CYCLE_S, 0.0)
+
+
 def test_of_a_restarted_board_nothing_is_dated() -> None:
-    answers = Answers()
+    answers = AnswersInTurn()
     for at_s in (1.0, 2.0):
         answers.asked(at_s)
         answers.arrived(at_s + 0.5)

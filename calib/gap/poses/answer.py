@@ -24,7 +24,7 @@ from calib.gap.finding import (
     Parameters,
     is_possible,
 )
-from calib.gap.poses.cautions import about_fit, about_orientations, about_outliers
+from calib.gap.poses.cautions import about_fit, about_flanks, about_orientations, about_outliers
 from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
@@ -37,11 +37,8 @@ from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable,
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 from calib.gap.posterior.told import Told
-from calib.points.points import Points
 from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
-
-NAMED_MOST = 8  # poses of a setup in a sentence
 
 
 def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> StaticGap:
@@ -83,14 +80,7 @@ def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> St
     finding = dataclasses.replace(
         finding, gap_explained=departing.times(floor.tip_m, floor.turn_rad, parts.report), maps=_maps(last, parts.report)
     )
-    warnings += [
-        f"on {open_count} of {int(parts.report.sum())} held-out poses nothing tells on which flank the loose gear of joint"
-        f" {joint} lies: there the new arm.toml predicts the middle of its play, and is off by up to half of it. No map"
-        f" mends that. Record these poses with joint {joint} moved there in both directions, and the direction or the holding"
-        f" currents with them: {_told_by_setup(points, parts.report & unclear)}"
-        for joint, unclear in last.between_flanks(points).items()
-        if (open_count := int(np.sum(parts.report & unclear)))
-    ]
+    warnings += about_flanks(points, parts.report, last.between_flanks(points))
     warnings += about_fit(looked.arm, last.identification, floor, looked.floor.tip_m * best.kappa)
     steps = [*map(str, order), *map(str, last.arm.maps[:1])]
     grown = [(step, residual.tip_m) for step, residual in zip(steps, residuals[1:], strict=True)]
@@ -150,18 +140,6 @@ def _files(
         for count in range(len(keys) + bool(last.arm.maps))
     ]
     return decision, [*files, last], reasons
-
-
-def _told_by_setup(points: Points, rows: Mask) -> str:
-    """Poses of a mask (m,) by their names in points.csv, each setup's first few."""
-    by_setup: dict[str, list[str]] = {}
-    for k in np.flatnonzero(rows).tolist():
-        by_setup.setdefault(points.setup[k], []).append(points.point[k])
-    told = {setup: list(dict.fromkeys(names)) for setup, names in by_setup.items()}
-    few = (
-        f"{setup}: {', '.join(names[:NAMED_MOST])}{' ...' if len(names) > NAMED_MOST else ''}" for setup, names in told.items()
-    )
-    return "; ".join(few)
 
 
 def _maps(file: File, report: Mask) -> MeasuredMaps | None:

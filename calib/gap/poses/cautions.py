@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -27,6 +27,7 @@ GAP_SHARE = 0.4  # of a joint's travel without a single pose
 BOUNDED_LEAST = 3
 UNBEARABLE = 5.0  # times what a drive holds at its current limit
 MILLI = 10.0  # times the limit
+NAMED_MOST = 8  # poses of a setup in a sentence
 
 UNKNOWN_TURNS = (
     "the measured orientations (qw to qz) are checked and not used, as their noise is not known:"
@@ -191,6 +192,30 @@ def about_outliers(points: Points, out: Mask) -> Iterator[str]:
             f"{len(rows)} of {len(points)} poses are far from what any effect explains and are left out: {listed}{more}; swapped,"
             " or the marker was lost?"
         )
+
+
+def about_flanks(points: Points, report: Mask, unclear: Mapping[int, Mask]) -> Iterator[str]:
+    """Poses (m,) of each joint, from 1, of which nothing tells the flank of its loose gear."""
+    for joint, poses in unclear.items():
+        if open_count := int(np.sum(report & poses)):
+            yield (
+                f"on {open_count} of {int(report.sum())} held-out poses nothing tells on which flank the loose gear of joint"
+                f" {joint} lies: there the new arm.toml predicts the middle of its play, and is off by up to half of it. No map"
+                f" mends that. Record these poses with joint {joint} moved there in both directions, and the direction or the"
+                f" holding currents with them: {_named_by_setup(points, report & poses)}"
+            )
+
+
+def _named_by_setup(points: Points, rows: Mask) -> str:
+    """Poses of a mask (m,) by their names in points.csv, each setup's first few."""
+    by_setup: dict[str, list[str]] = {}
+    for k in np.flatnonzero(rows).tolist():
+        by_setup.setdefault(points.setup[k], []).append(points.point[k])
+    told = {setup: list(dict.fromkeys(names)) for setup, names in by_setup.items()}
+    few = (
+        f"{setup}: {', '.join(names[:NAMED_MOST])}{' ...' if len(names) > NAMED_MOST else ''}" for setup, names in told.items()
+    )
+    return "; ".join(few)
 
 
 def about_fit(arm: Arm, fit: Identification, floor: Floor, noise_m: float) -> Iterator[str]:

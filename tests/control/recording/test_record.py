@@ -271,7 +271,7 @@ def test_a_recording_without_room_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.armlog"
     sink = FileSink(path, b"")
     sink.close()
-    sink._file = open("/dev/full", "wb", buffering=0)  # noqa: PTH123, SIM115 - the sink closes it
-    with pytest.raises(NotWritten, match=r"a\.armlog: not written: No space left on device"):
-        sink.write(b"row")
-    sink.close()
+    with Path("/dev/full").open("wb", buffering=0) as full:
+        sink._file = full
+        with pytest.raises(NotWritten, match=r"a\.armlog: not written: No space left on device"):
+            sink.write(b"row")
