@@ -120,7 +120,7 @@ def require_appendable(path: Path, arm: str) -> None:
     try:
         require_writable(path.parent)
     except NotWritten as error:
-        raise HistoryFileError(f"--history {path}: cannot be written there: {error.strerror}") from None
+        raise HistoryFileError(f"--history {NotWritten.of(error, path)}") from None
 
 
 def append_entry(path: Path, entry: Entry) -> None:

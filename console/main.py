@@ -129,7 +129,7 @@ def run(command: "options.Command", args: argparse.Namespace) -> int:
     """Run a command and convert exceptions to a message and an exit status."""
     from calib.errors import CalibrationError
     from control.errors import ArmError
-    from control.files import NO_ROOM, NotWritten
+    from control.files import NO_ROOM, WRONG_PLACE, NotWritten
     from control.server.client import ArmFaulted, ArmLate, MotionStopped
     from firmware_iface.errors import LinkError
     from hil_mocks.errors import MockError
@@ -147,7 +147,7 @@ def run(command: "options.Command", args: argparse.Namespace) -> int:
         sys.stderr.close()
         return 1
     except NotWritten as error:
-        return fail(str(error), 1)
+        return fail(str(error), 2 if error.errno in WRONG_PLACE else 1)
     except UnicodeEncodeError as error:
         return fail(f"{error.object!r} cannot be written in {error.encoding}: set a UTF-8 locale (LC_ALL=C.UTF-8)", 2)
     except OSError as error:  # e.g. a folder that cannot be created, a file that cannot be read

@@ -27,6 +27,7 @@ DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){32}")
 # A number of more digits is no float: 309 are in base 10, 256 in base 16.
 LONG_INTEGER = re.compile(r"[\da-fA-F_]{256,}")
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
+WRONG_PLACE = frozenset({errno.EACCES, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EPERM, errno.EROFS})
 
 
 class NotWritten(OSError):
@@ -38,8 +39,10 @@ class NotWritten(OSError):
         return cls(error.errno, error.strerror or str(error), str(path))
 
     def __str__(self) -> str:
-        """As an operator reads it."""
-        return f"{self.filename}: not written: {self.strerror}"
+        """As an operator reads it; with another place as the remedy where it is one."""
+        remedy = ": free some space, or choose another place" if self.errno in NO_ROOM else ""
+        remedy = ": choose another place" if self.errno in WRONG_PLACE else remedy
+        return f"{self.filename}: not written: {self.strerror}{remedy}"
 
 
 class NotReadable(OSError):
@@ -258,10 +261,10 @@ def append_whole(fd: int, path: Path, content: bytes) -> None:
     is not at `path` any more, where nobody would find it again.
     """
     if not _is_at(fd, path):
-        raise NotWritten(errno.ENOENT, "it was removed or replaced while it was in use: put it back", str(path))
+        raise NotWritten(None, "it was removed or replaced while it was in use: put it back", str(path))
     begun = os.lseek(fd, 0, os.SEEK_END)
     if begun and os.pread(fd, 1, begun - 1) != b"\n":
-        raise NotWritten(errno.EIO, "its last line is incomplete; close and open it again", str(path))
+        raise NotWritten(None, "its last line is incomplete; close and open it again", str(path))
     try:
         _write_all(fd, content)
         os.fsync(fd)
@@ -330,7 +333,8 @@ def require_writable(folder: Path) -> None:
     """NotWritten if `folder`, which need not exist yet, cannot be written to; the trial leaves no trace."""
     made = [part for part in (folder, *folder.parents) if not part.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileExistsError):  # what is there and no folder, the next line names
+            folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".armwright-", suffix=".trial", buffering=0) as file:
             _write_all(file.fileno(), bytes(PROBE_bytes))
             os.fsync(file.fileno())

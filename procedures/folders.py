@@ -28,8 +28,7 @@ def require_writable(folder: Path, option: str = "--out") -> None:
     try:
         files.require_writable(folder)
     except files.NotWritten as error:
-        remedy = "free some space, or choose" if error.errno in files.NO_ROOM else "choose"
-        raise ArmError(f"{option} {folder}: cannot write there ({error.strerror}): {remedy} another place") from error
+        raise ArmError(f"{option} {error}") from error
 
 
 def require_empty(folder: Path) -> None:

@@ -25,21 +25,18 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
 
     Raises:
         CalibrationError: unknown format, or the file exists.
-        NotWritten: the disk is full.
+        NotWritten: the disk is full, or the place is not ours.
     """
     write_new(path, export_text(arm, form))
     return losses(arm, form)
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a new file and its folder. CalibrationError if it exists or cannot be written, NotWritten if the disk is full."""
-    if path.exists():
-        raise CalibrationError(f"{path}: already exists and is not overwritten; name another file")
+    """Write a new file and its folder. CalibrationError if it exists, NotWritten."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror or error}") from None
-    write_whole(path, text)
+        write_whole(path, text, is_new=True)
+    except FileExistsError:
+        raise CalibrationError(f"{path}: already exists and is not overwritten; name another file") from None
 
 
 def export_text(arm: Arm, form: str) -> str:

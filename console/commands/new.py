@@ -12,10 +12,11 @@ import tomli_w
 from calib.arm_import import SerialArm, read_arm
 from console.commands.progress import to_type
 from control.errors import ArmError, ArmFileError
-from control.files import NotWritten, write_whole
+from control.files import write_whole
 from control.model.description import parse_arm, supplied_text
 from control.model.plausible import OVERRIDE
 from control.model.rules import LONGEST_NAME, is_file_name
+from procedures.folders import require_writable
 from procedures.new_arm.answers import Asker, Given, answers_for, ask_shape
 from procedures.new_arm.composing import NewArm, commented_text, compose
 from procedures.new_arm.motors import stretched_arm
@@ -61,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     if out.exists():
         raise ArmError(f"{out}: already exists and is not overwritten; name another file")
+    require_writable(out.parent)  # before somebody has answered every question
     if args.like:
         return _like(args, out)
     options = Given(**{key: getattr(args, key, None) for key in ANSWERS})
@@ -76,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     new = dataclasses.replace(new, arm=arm)
     text = commented_text(new, origin)
     _require_readable(text, out, new, source)
-    _write(out, text)
+    write_whole(out, text, is_new=True)
     sys.stdout.write(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}\n")
     for note in new.notes:
         sys.stdout.write(f"  {note}\n")
@@ -96,7 +98,7 @@ def _like(args: argparse.Namespace, out: Path) -> int:
     new_port = dict(zip(ports, args.ports or ports, strict=True))
     text = PORT.sub(lambda found: _line("port", new_port[found[1]]), NAME.sub(lambda _: _line("name", name), text, count=1))
     arm = parse_arm(text, out)
-    _write(out, text)
+    write_whole(out, text, is_new=True)
     sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {args.like}\n")
     sys.stdout.write(f"Next: {to_type('arm', out)}; {to_type('mock', '--arm', out)}\n")
     return 0
@@ -134,12 +136,3 @@ def _require_readable(text: str, out: Path, new: NewArm, source: str | None) -> 
 def _name_of(out: Path) -> str:
     name = out.stem[:LONGEST_NAME]
     return name if is_file_name(name) else "my_arm"
-
-
-def _write(out: Path, text: str) -> None:
-    try:
-        write_whole(out, text, is_new=True)
-    except NotWritten:
-        raise
-    except OSError as error:
-        raise ArmError(f"{out}: cannot be written: {error.strerror or error}") from None

@@ -14,7 +14,7 @@ from typing import Any
 import tomli_w
 
 from control.errors import ArmError, ArmFileError
-from control.files import NO_ROOM, parsed_toml, read_text, write_whole
+from control.files import parsed_toml, read_text, write_whole
 from control.model.arm import Arm
 from control.model.arm_checks import check_arm
 from control.model.end_effector import read_tools
@@ -76,16 +76,12 @@ def parse_arm(text: str, path: Path) -> Arm:
 def save_arm(arm: Arm, path: str | Path) -> None:
     """Write the arm to a new file; an existing file is never overwritten. Numbers are written exactly.
 
-    Keys with their default value are omitted. NotWritten if the disk is full; then there is no file.
+    Keys with their default value are omitted. NotWritten where there is no room, or the place is not ours; then there is no file.
     """
     try:
         write_whole(Path(path), arm_text(arm), is_new=True)
     except FileExistsError:
         raise ArmFileError(path, None, "", "a new file", "an existing one", "arms are never overwritten") from None
-    except OSError as error:
-        if error.errno in NO_ROOM:
-            raise
-        raise ArmFileError(path, None, "", "a writable path", error.strerror or str(error)) from None
 
 
 def arm_text(arm: Arm) -> str:

@@ -157,7 +157,7 @@ def look_at_disk(folder: Path, rate_bytes_s: float) -> list[Finding]:
     try:
         speed_bytes_s, stall_s = _written(place, time.perf_counter)
     except OSError as error:
-        problem = f"cannot write there: {error.strerror or error}"
+        problem = f"not written: {error.strerror or error}"
         remedy = "give --log a writable folder"
         return [Finding(Level.BAD, GROUP, f"recordings in {folder}", problem, "", remedy)]
     free_hours = shutil.disk_usage(place).free / rate_bytes_s / 3600.0

@@ -64,6 +64,7 @@ def test_a_verification_reads_every_part_and_waits_for_the_newest(tmp_path: Path
         ["verify", "--mock", "--against", "left", "--arm", "right", "--out", "{}/verify"],
         ["demo", "--out", "{}/demo"],
         ["plan-poses", "--out", "{}/plan"],
+        ["new", "--out", "{}/new.toml"],
     ],
     ids=lambda arguments: arguments[0],
 )
@@ -79,5 +80,5 @@ def test_results_that_have_no_room_are_refused_before_anything_moves(
     said = capsys.readouterr().err
     assert status == 2
     assert f"--out {tmp_path}" in said
-    assert "cannot write there (File too large)" in said
+    assert "not written: File too large: free some space, or choose another place" in said
     assert not list(tmp_path.iterdir())

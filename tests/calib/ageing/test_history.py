@@ -103,7 +103,7 @@ def test_calibrations_are_recorded_and_their_trend_is_told(tmp_path: Path, capsy
         (["calibrate", "--points", "p.csv", "--out", "o", "--measured", "2026-01-01"], "--measured: needs --history"),
         (
             ["calibrate", "--points", "p.csv", "--out", "o", "--history", "/dev/null/h.jsonl"],
-            "--history /dev/null/h.jsonl: cannot be written there",
+            "--history /dev/null/h.jsonl: not written: Not a directory: choose another place",
         ),
         (["calibrate", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"], "--measured: expected a date"),
         (["gap", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"], "--measured: expected a date"),

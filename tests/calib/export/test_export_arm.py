@@ -20,6 +20,7 @@ from calib.errors import CalibrationError
 from calib.export import FORMS, export, export_text
 from console.main import main
 from control.dynamics.dynamics import Dynamics
+from control.files import NotWritten
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Calibration, Drive, Effect, Link, Tool
 from control.model.description import load_arm
@@ -304,7 +305,7 @@ def test_nothing_is_overwritten_and_a_wrong_form_is_named(tmp_path: Path) -> Non
     assert (tmp_path / "arm.urdf").read_text() == "mine"
     with pytest.raises(CalibrationError, match='one of urdf, mjcf, json, got "sdf"'):
         export(RIGHT, "sdf", tmp_path / "arm.sdf")
-    with pytest.raises(CalibrationError, match="cannot be written"):
+    with pytest.raises(NotWritten, match="not written: Not a directory: choose another place"):
         export(RIGHT, "urdf", tmp_path / "arm.urdf" / "below.urdf")
     assert list(tmp_path.iterdir()) == [tmp_path / "arm.urdf"]
 

@@ -351,4 +351,4 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_drawn(
     blocked.touch()
     for out in (blocked / "sheet.png", blocked / "folder"):
         assert main(["plot", str(recording), "--out", str(out)]) == 2
-        assert "cannot write there" in capsys.readouterr().err
+        assert "not written: " in capsys.readouterr().err

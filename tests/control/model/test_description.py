@@ -12,6 +12,7 @@ import pytest
 
 import control
 from control.errors import ArmError, ArmFileError, MissingModel
+from control.files import NotWritten
 from control.model.arm import Arm, Calibration, Drive, Effect
 from control.model.arm_checks import check_arm
 from control.model.description import arm_names, load_arm, parse_arm, save_arm
@@ -295,7 +296,7 @@ def test_saving_never_overwrites(tmp_path: Path) -> None:
     with pytest.raises(ArmFileError, match="never overwritten"):
         save_arm(load_arm("right"), path)
     assert path.read_text() == "mine"
-    with pytest.raises(ArmFileError, match="a writable path"):
+    with pytest.raises(NotWritten, match=r"not written: .*choose another place"):
         save_arm(load_arm("right"), path / "arm.toml")
     save_arm(load_arm("right"), tmp_path / "new" / "arm.toml")
     assert load_arm(tmp_path / "new" / "arm.toml") == load_arm("right")

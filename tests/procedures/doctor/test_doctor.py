@@ -312,7 +312,7 @@ def test_a_folder_that_cannot_be_written_to_is_bad(tmp_path: Path) -> None:
     assert {f.level for f in look_at_disk(tmp_path / "not" / "there", 1e5)} == {Level.OK}
     (finding,) = look_at_disk(Path("/proc"), 1e5)  # where not even root may write
     assert finding.level is Level.BAD
-    assert finding.measured.startswith("cannot write there: ")
+    assert finding.measured.startswith("not written: ")
 
 
 def test_verdicts() -> None:
