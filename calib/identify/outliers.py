@@ -195,12 +195,12 @@ NOT_SEATED_m = 0.006  # a badly seated tip is at most this far from its cavity
 
 @dataclass(frozen=True, slots=True)
 class OutlierCause:
-    """A wrong `cavity`, an encoder of `joint` slipped by `slip_rad`, or (`is_near`) a badly seated tip."""
+    """A wrong `cavity`, an encoder of `joint` slipped by `slip_rad`, or, near its place, a tip that was `badly` measured: how."""
 
     cavity: str = ""
     joint: int = 0
     slip_rad: float = 0.0
-    is_near: bool = False
+    badly: str = ""
 
     @property
     def words(self) -> str:
@@ -210,7 +210,7 @@ class OutlierCause:
         if self.joint:
             angle = math.degrees(self.slip_rad)
             return f": the encoder of joint {self.joint} probably slipped by {angle:+.2f} deg in this pose"
-        return ": the tip was probably not seated, or the camera misread it" if self.is_near else ""
+        return f": {self.badly}" if self.badly else ""
 
 
 def cause_of(
@@ -224,7 +224,12 @@ def cause_of(
     joints = _slipped_joints(problem, x, row, deleted_m, near)
     if len(joints) == 1:
         return OutlierCause(joint=joints[0][0], slip_rad=joints[0][1])
-    return OutlierCause(is_near=bool(np.linalg.norm(deleted_m) < NOT_SEATED_m))
+    if np.linalg.norm(deleted_m) >= NOT_SEATED_m:
+        return OutlierCause()
+    rotation = problem.observed.rotation  # is measured only where a camera sees a target
+    is_seen = rotation is not None and bool(np.isfinite(rotation[row]).all())
+    misread = "the camera misread it"
+    return OutlierCause(badly=f"probably {misread}" if is_seen else f"the tip was probably not seated, or {misread}")
 
 
 def _other_cavity(problem: ArmProblem, x: Array, row: int, deleted_m: Array, near_m: float, cavities: Mapping[str, Array]) -> str:

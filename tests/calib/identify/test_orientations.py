@@ -17,6 +17,7 @@ from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify
 from calib.identify.objective import objective_named
+from calib.identify.outliers import find_outliers
 from calib.iso9283.evaluate_poses import pose_criterion
 from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points, make_points
@@ -90,6 +91,20 @@ def test_chunks_and_strides_are_the_rows_of_the_whole() -> None:
     for rows in (slice(0, 30), slice(30, 50), slice(45, 60), slice(None, None, 7), slice(2, None, 3)):
         assert np.array_equal(whole.residuals(x, rows), residuals[rows])
         assert np.allclose(whole.expanded(x, rows).residuals, residuals[rows], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("seen", "cause"), [(True, "probably the camera misread it"), (False, "not seated, or the camera misread it")]
+)
+def test_a_tip_whose_orientation_was_measured_sat_in_no_cavity(seen: bool, cause: str) -> None:
+    arm, _, points = session(4)
+    tips = np.array(points.tip_m)
+    tips[7] += [0.0, 0.0, 0.004]
+    misread = dataclasses.replace(points if seen else without_orientation(points), tip_m=tips)
+    problem = problem_of(arm, misread, BASE)
+    (outlier,) = find_outliers(problem, identify(problem, starts_count=1).x)
+    assert outlier.row == 7
+    assert outlier.words.endswith(cause)
 
 
 def test_full_poses_determine_more_than_positions() -> None:
