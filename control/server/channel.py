@@ -168,10 +168,14 @@ def foreign_folders() -> list[ForeignFolder]:
 
 
 def socket_folders() -> tuple[Path, ...]:
-    """The user's runtime folder, if it exists, and the private folder under /tmp; new sockets go to the first.
+    """$ARMWRIGHT_RUNTIME_DIR alone, or the user's runtime folder, if it exists, and the private folder under /tmp; new sockets
+    go to the first.
 
-    Both are searched: a runtime that was started by cron or over ssh may not know the first.
+    Both are searched: a runtime that was started by cron or over ssh may not know the first. One folder alone is for programs
+    that may not reach any other arm of this user, such as tests.
     """
+    if alone := os.environ.get("ARMWRIGHT_RUNTIME_DIR"):
+        return (Path(alone).absolute(),)
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     private = Path(f"/tmp/armwright-{os.getuid()}")
     return (Path(runtime) / "armwright", private) if runtime else (private,)

@@ -97,6 +97,7 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
     run.mkdir(mode=0o700)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     around = os.environ | {"PATH": path, "PYTHONPATH": str(HERE.parents[1]), "HOME": str(folder), "XDG_RUNTIME_DIR": str(run)}
+    around["ARMWRIGHT_RUNTIME_DIR"] = str(run / "armwright")
     running: list[subprocess.Popen[bytes]] = []
     try:
         for step in journey.steps():

@@ -55,7 +55,7 @@ class Served:
 
 @pytest.fixture
 def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("ARMWRIGHT_RUNTIME_DIR", str(tmp_path / "armwright"))
     (tmp_path / "scenario.toml").write_text(SCENARIO)
     with RealTimeCell("pair", tmp_path / "scenario.toml") as rig:
         arms = [patient(wired_to(placed.arm, rig.ports[placed.name])) for placed in PAIR.arms]

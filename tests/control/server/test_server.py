@@ -19,7 +19,7 @@ import pytest
 
 from control.errors import ArmError
 from control.safety.table import Mode
-from control.server.channel import ForeignFolder, RuntimeGone, SocketChannel, find_sockets, foreign_folders
+from control.server.channel import ForeignFolder, RuntimeGone, SocketChannel, find_sockets, foreign_folders, socket_folders
 from control.server.messages import Asked
 from control.server.server import (
     CLIENT_LIMIT,
@@ -346,9 +346,12 @@ def test_a_path_that_no_socket_can_have_is_said_in_a_sentence(tmp_path: Path) ->
 def test_only_the_user_who_started_the_runtime_can_open_its_socket(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     assert stat.S_IMODE(bench.server.path.stat().st_mode) == 0o600
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.delenv("ARMWRIGHT_RUNTIME_DIR", raising=False)
     assert default_path("right") == Path(f"/tmp/armwright-{os.getuid()}/right.sock")
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/5")
     assert default_path("right") == Path("/run/user/5/armwright/right.sock")
+    monkeypatch.setenv("ARMWRIGHT_RUNTIME_DIR", "/srv/arms")
+    assert socket_folders() == (Path("/srv/arms"),)
 
 
 # ---- a stop has a place of its own
@@ -392,7 +395,7 @@ def test_a_folder_of_somebody_else_is_used_by_nobody(tmp_path: Path, monkeypatch
     """Another user made the predictable folder in /tmp first."""
     folder = tmp_path / "armwright"
     folder.mkdir(mode=0o700)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("ARMWRIGHT_RUNTIME_DIR", str(tmp_path / "armwright"))
     Bench(folder / "arm.sock").close()
     first = socket.socket(socket.AF_UNIX)
     first.bind(str(folder / "right.sock"))
@@ -410,7 +413,7 @@ def test_a_folder_of_somebody_else_is_used_by_nobody(tmp_path: Path, monkeypatch
 def test_a_folder_that_is_a_link_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "elsewhere").mkdir(mode=0o700)
     (tmp_path / "armwright").symlink_to(tmp_path / "elsewhere")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("ARMWRIGHT_RUNTIME_DIR", str(tmp_path / "armwright"))
     with pytest.raises(ForeignFolder, match="a link or a file"):
         Bench(tmp_path / "armwright" / "arm.sock")
 
@@ -540,7 +543,7 @@ def test_an_arm_s_name_leads_to_no_other_folder(name: str) -> None:
 
 
 def test_an_arm_that_does_not_run_is_answered_with_those_that_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("ARMWRIGHT_RUNTIME_DIR", str(tmp_path / "armwright"))
     folder = tmp_path / "armwright"
     folder.mkdir(mode=0o700)
     left_over, listens = (socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(2))
