@@ -124,6 +124,6 @@ def _motor_of(arm: Arm, drive: Drive, motors: Mapping[str, LeRobotMotor]) -> LeR
         )
     by_id = {motor.id: motor for motor in motors.values()}
     if board.address not in by_id:
-        ids = ", ".join(map(str, sorted(by_id)))
+        ids = ", ".join(map(str, sorted(by_id))) or "no servo"
         raise ImportedModelError(f"arm {arm.name}: joint {drive.joint} is servo {board.address}; the calibration has {ids}")
     return by_id[board.address]

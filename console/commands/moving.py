@@ -175,7 +175,9 @@ def _jog(args: argparse.Namespace) -> int:
         step, speed = {"joint": args.joint, "by_rad": args.by}, "speed_rad_s"
     if args.speed is not None:
         step[speed] = args.speed
-    limited = connected(args).jog(**step)
+    client = connected(args)
+    with shown(client, args):
+        limited = client.jog(**step)
     if limited:
         sys.stderr.write(f"armwright: {limited}\n")
     return 1 if limited and not limited.startswith("slowed") else 0

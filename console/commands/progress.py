@@ -80,8 +80,9 @@ class Bar:
         if step != self._last:
             self._last = step
             passed_s = time.monotonic() - self._began_s
+            step_name = f": {what}" if what != self._title else ""
             left = f", about {passed_s * (1.0 - done) / done:.0f} s left" if 0.0 < done < 1.0 else ""
-            sys.stderr.write(f"{self._title}: {done:4.0%} after {passed_s:.0f} s{left}: {what}\n")
+            sys.stderr.write(f"{self._title}: {done:4.0%} after {passed_s:.0f} s{left}{step_name}\n")
             sys.stderr.flush()
 
 

@@ -315,7 +315,7 @@ class InverseKinematics:
         solutions = self.branches(point)
         inside = [self._range.toward(s.q, q_near) for s in solutions if s.within_limits]
         if not inside:
-            least = min(solutions, key=lambda s: self._range.excess_rad(s.q))
+            least = min(solutions, key=lambda s: self._range.farthest_rad(s.q))
             purpose = f"to reach {errors.spelled(point)} in any way ({least.branch} comes closest)"
             self._range.check(least.q, purpose)
         return min(inside, key=lambda q: travel_rad(q, q_near))
@@ -410,7 +410,7 @@ class InverseKinematics:
             is_first = best.distance_m == math.inf and self.moves_freely
             if is_first and travel_rad(end.q, q_near) > pose_inverse.LONGEST_STEP_RAD:  # long steps may lead far away, or nowhere
                 ends = (self._by_short_steps(target, q_near), end)
-                end = min(ends, key=lambda e: (e.distance_m > enough_m, travel_rad(e.q, q_near)))
+                end = min(ends, key=lambda e: (max(e.distance_m, enough_m), travel_rad(e.q, q_near)))
             best = min(best, end, key=lambda descent: descent.distance_m)
             if best.distance_m <= enough_m:
                 self._check_weakest(target, best.q)

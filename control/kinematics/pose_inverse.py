@@ -273,7 +273,8 @@ class PoseInverse:
         if off_rad > ORIENTATION_TOLERANCE_RAD:
             return problems.not_turned(name, str(target), len(q), off_rad)
         if not self._range.is_inside(q):
-            return problems.beyond_range(name, str(target), self._range.excess_rad(q))
+            beyond_rad, joint = self._range.farthest_rad(q)
+            return problems.beyond_range(name, str(target), joint, beyond_rad)
         task = self._tasks[target.orientation is not None]
         margin, limit = float(margins(task, solved.tip.jacobian)[0]), SINGULAR_MARGIN_M
         if margin < limit:

@@ -71,9 +71,9 @@ def not_turned(name: str, target: str, joint_count: int, off_rad: float) -> OutO
     return OutOfReach(message, 0.0)
 
 
-def beyond_range(name: str, target: str, beyond_rad: float) -> OutOfReach:
+def beyond_range(name: str, target: str, joint: int, beyond_rad: float) -> OutOfReach:
     """Return the error for a target that only poses outside of the joints' ranges reach."""
-    message = f"arm {name}: {target} needs a joint {beyond_rad:.4f} rad beyond its range; choose another target"
+    message = f"arm {name}: {target} needs joint {joint} {beyond_rad:.4f} rad beyond its range; choose another target"
     return OutOfReach(message, 0.0)
 
 
@@ -92,9 +92,10 @@ class JointRange:
         self._lower = tuple(lower - _SLACK_RAD for lower, _ in self.limits)
         self._upper = tuple(upper + _SLACK_RAD for _, upper in self.limits)
 
-    def excess_rad(self, q: Sequence[float]) -> float:
-        """Return how far the worst joint is beyond its limit; negative inside."""
-        return max(max(lower - a, a - upper) for a, (lower, upper) in zip(q, self.limits, strict=True))
+    def farthest_rad(self, q: Sequence[float]) -> tuple[float, int]:
+        """Return how far the worst joint is beyond its limit, negative inside, and its number (1-based)."""
+        joints = zip(q, self.limits, strict=True)
+        return max((max(lower - a, a - upper), joint) for joint, (a, (lower, upper)) in enumerate(joints, start=1))
 
     def is_inside(self, q: Sequence[float]) -> bool:
         """Whether every joint is within its limits."""

@@ -76,6 +76,8 @@ def test_identified_zeros_are_those_of_the_generic_arm_in_lerobots_file() -> Non
 def test_what_does_not_fit_is_said(tmp_path: Path) -> None:
     with pytest.raises(ImportedModelError, match="joint 1 is servo 1; the calibration has 6"):
         taken_over(SO101, {"gripper": MOTORS["gripper"]})
+    with pytest.raises(ImportedModelError, match="joint 1 is servo 1; the calibration has no servo"):
+        taken_over(SO101, {})
     with pytest.raises(ImportedModelError, match="joint 1 is on no smart servo"):
         taken_over(load_arm("right"), MOTORS)
     with pytest.raises(ImportedModelError, match="arm right is another arm than so101: arms so101 and right have other rows"):

@@ -8,10 +8,13 @@ import pytest
 
 from control.errors import ArmError, BadTarget, JointLimitViolated, MissingModel, NearSingular, OutOfReach
 from control.kinematics.inverse import BRANCHES, Branch, InverseKinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.numeric_inverse import descend
+from control.kinematics.pose_inverse import PoseInverse, TipPose
 from control.kinematics.reach import JointRange, travel_rad, turned_toward
 from control.model.arm import Arm
 from control.model.description import load_arm
+from tests.cell import with_drive
 from tests.control.kinematics.tables import arm_of
 from tests.places import ARMS
 
@@ -331,7 +334,7 @@ def test_an_arm_with_a_link_of_no_length_has_no_named_branches_and_no_crash() ->
 def test_turns_are_whole_and_toward_the_wanted_side() -> None:
     assert turned_toward((3.0, -3.0), (-3.0, 3.0)) == pytest.approx((3.0 - 2 * math.pi, -3.0 + 2 * math.pi))
     joints = JointRange(RIGHT)
-    assert joints.excess_rad((0.0, 0.9, 0.0)) == pytest.approx(0.1)
+    assert joints.farthest_rad((0.0, 0.9, 0.0)) == (pytest.approx(0.1), 2)
     assert not joints.is_inside((0.0, math.nan, 0.0))
     assert joints.toward((2.5, 0.0, 0.0), (2.5 - 2 * math.pi, 0.0, 0.0)) == (2.5, 0.0, 0.0)
 
@@ -349,3 +352,19 @@ def test_with_joints_to_spare_the_pose_is_near_the_one_before(name: str) -> None
         assert math.dist(inverse.kinematics.tip(*q_rad), tip_m) < 1e-8
         longer.append(travel_rad(q_rad, near) / travel_rad(known, near))
     assert max(longer) < 1.5  # the least sum of squares, whose largest part may be somewhat larger
+
+
+@pytest.mark.parametrize("name", ["so101", "koch", "widowx250"])
+def test_a_point_that_joints_to_spare_cannot_reach_is_missed_by_a_finite_distance(name: str) -> None:
+    arm = load_arm(name)
+    reach_m = float(np.linalg.norm(ForwardKinematics(arm).tip(*arm.rest_rad)))
+    with pytest.raises(OutOfReach) as caught:
+        InverseKinematics(arm).nearest((3.0 + reach_m, 0.0, 0.1), (0.0,) * arm.joint_count)
+    assert 2.0 < caught.value.distance_m < 4.0 + reach_m
+
+
+def test_a_pose_beyond_a_range_names_the_joint() -> None:
+    narrow = with_drive(RIGHT, 1, joint_lower_rad=-0.1, joint_upper_rad=0.1)
+    q = (0.6, *(0.5 * (lower + upper) + 0.2 for lower, upper in RIGHT.limits_rad[1:]))
+    with pytest.raises(OutOfReach, match=r"needs joint 1 0\.\d+ rad beyond its range"):
+        PoseInverse(narrow).nearest(TipPose.of(ForwardKinematics(RIGHT).tip(*q)), q)
