@@ -79,7 +79,7 @@ test-all: dev .venv/witnesses  ## make test, and what runs at night: every kind 
 
 .venv-lerobot/installed: armwright/lerobot_robot_armwright/pyproject.toml
 	$(PYTHON) -m venv .venv-lerobot
-	.venv-lerobot/bin/pip install --quiet --disable-pip-version-check pytest hypothesis -e . -e armwright/lerobot_robot_armwright
+	.venv-lerobot/bin/pip install --quiet --disable-pip-version-check pytest hypothesis 'lerobot[dataset]' -e . -e armwright/lerobot_robot_armwright
 	@touch $@
 
 test-lerobot: .venv-lerobot/installed  ## the plugin beside LeRobot itself, in an environment of its own: 7 GB, for the torch that it needs
