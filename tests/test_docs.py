@@ -146,14 +146,43 @@ def rows_of(page: Path, heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:]]
 
 
+def power_rows(page: str) -> list[str]:
+    """Of which moments a page says what happens."""
+    return re.findall(r"^- ([^:]+): \S", below(ROOT / "docs" / f"{page}.md", "Power and faults"), re.MULTILINE)
+
+
+def test_what_happens_without_torque_supply_or_host_is_said_of_every_kind_of_board() -> None:
+    """For all on one page; that of a kind says, in the same order, what is otherwise there."""
+    assert power_rows("boards") == POWER_ROWS
+    assert {kind: [row for row in POWER_ROWS if row in power_rows(kind)] for kind in KINDS} == {
+        kind: power_rows(kind) for kind in KINDS
+    }
+    done = rows_of(ROOT / "docs" / "boards.md", "What a board does")
+    assert sorted(kind.strip("`") for kind, *_ in done) == sorted(KINDS)
+    assert [row for row in done if "" in row] == []
+
+
+SECTIONS = [
+    "Wiring",
+    "Settings",
+    "arm.toml",
+    "What it does otherwise",
+    "Power and faults",
+    "Assumed of the board",
+    "Limits and traps",
+]
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_bought_board_has_the_same_list_and_table(kind: str) -> None:
-    """What happens at power-up, faults and without a host; and for each assumption its source and what the connection does."""
+def test_every_bought_board_has_the_same_sections_and_table(kind: str) -> None:
+    """For each assumption its source and what the connection does."""
     page = ROOT / "docs" / f"{kind}.md"
-    assert re.findall(r"^- ([^:]+): \S", below(page, "Power and faults"), re.MULTILINE) == POWER_ROWS
-    assumed = rows_of(page, f"Assumed of the {'drive' if kind == 'cia402' else 'board'}")
+    text = page.read_text(encoding="utf-8")
+    headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
+    assert headings == [section for section in SECTIONS if section in headings]
+    assumed = rows_of(page, "Assumed of the board")
     cited = {number for *_, source, _ in assumed for number in source.split(", ") if number}
-    sources = page.read_text(encoding="utf-8").partition("Sources: ")[2].partition("\n#")[0]
+    sources = text.partition("Sources: ")[2].partition("\n#")[0]
     assert len(assumed) > 5
     assert [row for row in assumed if not row[-1].startswith(OUTCOMES)] == []
     assert sorted(cited) == [number for number in "1234" if re.search(rf"\b{number} [a-zA-Z]", sources)]
