@@ -22,7 +22,7 @@ from calib.arm_problem.frames import cross_matrix
 from calib.arrays import Array, Mask
 from calib.gap.plan.motions import collision_free_box
 from calib.gap.plan.plan import MARGIN_rad, NamedPose, PlanExtent, PlannedVisit, RecordingPlan, plan_of, static_poses
-from calib.points.points import Points, joined, make_points
+from calib.points.points import FREE, Points, joined, make_points
 from calib.results import entries
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.prediction import linearised, loose_play_m2, posterior_of
@@ -441,7 +441,6 @@ def decision_json(decision: CheckupDecision) -> dict[str, object]:
 POSES: Final = 8  # each is visited from two opposite sides
 SIZE_rad: Final = 3e-3  # of a change that is to be told: three times what parts of a sound arm do
 CANDIDATES: Final = PlanExtent(levels=3, spread=24, outside=8, pulled=2)
-SETUP: Final = "free"
 
 
 def checkup_plan(arm: Arm, earlier: Points, count: int = POSES, speed: float = 1.0) -> RecordingPlan:
@@ -453,7 +452,7 @@ def checkup_plan(arm: Arm, earlier: Points, count: int = POSES, speed: float = 1
     q = np.array([pose.q_rad for pose, _ in rows])
     direction = np.array([side for _, side in rows], dtype=float)
     names = [f"c{k}" for k in range(len(rows))]
-    new = make_points([SETUP] * len(rows), names, [1] * len(rows), q, _tips(arm, q), direction)
+    new = make_points([FREE] * len(rows), names, [1] * len(rows), q, _tips(arm, q), direction)
     chosen = _best(expectation_of(arm, earlier, new), count)
     visits = [visit for k in chosen for visit in _visits(*rows[2 * k])]
     return plan_of(arm, room, visits, speed)
@@ -462,7 +461,7 @@ def checkup_plan(arm: Arm, earlier: Points, count: int = POSES, speed: float = 1
 def _visits(pose: NamedPose, side: tuple[int, ...]) -> tuple[PlannedVisit, PlannedVisit]:
     ways = (side, _against(side))
     first, second = (
-        PlannedVisit(pose.name, repeat, pose.q_rad, way, 0.0, pose.via_rad, SETUP) for repeat, way in enumerate(ways, 1)
+        PlannedVisit(pose.name, repeat, pose.q_rad, way, 0.0, pose.via_rad, FREE) for repeat, way in enumerate(ways, 1)
     )
     return first, second
 

@@ -18,7 +18,7 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.boards import best_motion
 from calib.errors import CalibrationError
-from calib.points.points import Points, make_points
+from calib.points.points import FREE, Points, make_points
 from control.kinematics.chain import link_transforms
 from control.model.arm import Arm, Table
 from control.model.table import SETUPS, board_cavities, board_rotation
@@ -179,7 +179,7 @@ def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame])
     of_table += ["roll"] if of_table and arm.table.roll_tilt_rad else []
     of_table += ["pitch"] if of_table and arm.table.pitch_tilt_rad else []
     seated = [] if points is None else [s for s, p in zip(points.setup, points.point, strict=True) if p in _all(arm)]
-    return list(dict.fromkeys([*of_table, *measured, *(setup for setup in seated if setup != "free")]))
+    return list(dict.fromkeys([*of_table, *measured, *(setup for setup in seated if setup != FREE)]))
 
 
 def placed_boards(
@@ -259,7 +259,6 @@ def _all(arm: Arm) -> dict[str, tuple[float, float, float]]:
     return {} if arm.table is None else board_cavities(arm.table)
 
 
-FREE = "free"
 FREE_POSES_COUNT = 4000  # number drawn, before poses with collisions are removed
 EDGE_SHARE = 0.4
 APART_RAD = 0.15  # smallest difference between candidate free poses

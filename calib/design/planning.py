@@ -15,7 +15,6 @@ from calib.arm_problem.assembly import Choice, turn_noise_rad
 from calib.arm_problem.checks import require_of_arm
 from calib.arrays import Array
 from calib.design.candidates import (
-    FREE,
     OTHER_TILTS,
     CameraBox,
     Mask,
@@ -34,7 +33,7 @@ from calib.design.candidates import (
 )
 from calib.design.information import Criterion, Experiment, Uncertainty, criterion_of, experiment_of, uncertainty_of
 from calib.errors import CalibrationError
-from calib.points.points import Points, make_points
+from calib.points.points import FREE, Points, make_points
 from calib.points.writer import write_points
 from calib.results import entries, write_json
 from control.model.arm import Arm

@@ -19,6 +19,7 @@ from calib.arm_problem.frames import cross_matrix
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen, norms
 from calib.identify.linear_fit import LinearFit, Mask
+from calib.points.points import FREE
 
 FALSE_ALARM = 0.02
 TRUSTED_SHARE = 0.55  # of the points: share trusted in the search; a slip may last to the end
@@ -393,7 +394,6 @@ def _longest_run(rows: list[int]) -> list[int]:
 
 
 # Detects shifted setups: the board (or the camera) was not at the assumed place.
-FREE = "free"  # poses away from any board
 POINTS_MINIMUM_COUNT = 6  # of a setup, to determine the shift and rotation of its board
 LARGEST_SHARE = 0.5  # if more setups disagree, the cause is not a single one
 CHANCE = 1e-6  # probability of a false alarm for a setup

@@ -11,10 +11,9 @@ import numpy as np
 
 from calib.gap.plan.plan import GENTLE
 from calib.planning.search import NOWHERE, Cost, PathPlan, StopsPlan, WayOfPath, WayOfStops
-from calib.points.points import make_points
+from calib.points.points import FREE, make_points
 from calib.points.writer import replace_file, write_points
 from calib.results import Provenance, entries, write_json
-from calib.session.plan import FREE
 from calib.trust.prediction import Reliability
 from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, SPEED_COLUMN, Waypoints
 

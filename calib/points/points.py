@@ -27,6 +27,7 @@ ARRAYS = ("q_rad", "tip_m", "direction", "current_A", *SCALARS, "orientation", "
 # In the column `frame`: positions and orientations are in a frame of unknown place, of a camera (files of
 # `armwright camera`), or of the arm's [camera.stream], which a calibration then places.
 CAMERA_FRAME, STREAM_FRAME = OWN_FRAMES = ("camera", "stream")
+FREE = "free"  # in the column `setup`: poses away from any board
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import PointsFileError
-from calib.points.points import TIP, Points, make_points
+from calib.points.points import FREE, TIP, Points, make_points
 from control.files import read_bytes
 from control.model.arm import Arm
 
@@ -131,7 +131,7 @@ def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles:
     q_rad = np.column_stack([sheet.numbers(name) for name in of_angle]) * ANGLES[angle]
     tip_m = np.column_stack([sheet.numbers(name) for name in of_length]) * LENGTHS[length]
     named = {ours: sheet.words(name) for ours in OPTIONAL if (name := column_of[ours])}
-    setup = named.get("setup") or ["free"] * len(q_rad)
+    setup = named.get("setup") or [FREE] * len(q_rad)
     point = named.get("point") or [f"p{k}" for k in range(1, len(q_rad) + 1)]
     if column_of["repeat"] is None:
         point = _poses_again(setup, point, q_rad, notes)

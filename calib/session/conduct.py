@@ -14,7 +14,7 @@ from calib.arrays import norms
 from calib.boards import FEWEST_TO_NAME, BoardPose, Markers, Registration, markers_text, register_boards, write_boards
 from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import RegistrationError, SessionError
-from calib.points.points import STREAM_FRAME, Points
+from calib.points.points import FREE, STREAM_FRAME, Points
 from calib.points.writer import Record, replace_file
 from calib.results import made_today
 from calib.session.conversation import (
@@ -31,7 +31,7 @@ from calib.session.conversation import (
 )
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths, JogPort, NoClearPath, TipSensor, Transfers, Vector
-from calib.session.plan import FREE, Board, SessionPlan, Target
+from calib.session.plan import Board, SessionPlan, Target
 from calib.session.residual_watch import RecordVerdict, ResidualWatch, TipObservation
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError
@@ -136,7 +136,7 @@ class Boards:
 
 def markers_of(points: Points) -> Markers:
     """The measured tips in cavities, as markers."""
-    rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1) & (np.array(points.setup) != "free"))
+    rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1) & (np.array(points.setup) != FREE))
     chosen = points.chosen(rows)
     return Markers(chosen.setup, chosen.point, chosen.tip_m)
 

@@ -15,13 +15,12 @@ from types import MappingProxyType
 from typing import Literal, get_args
 
 from calib.errors import SessionError
-from calib.points.points import STREAM_FRAME
+from calib.points.points import FREE, STREAM_FRAME
 from calib.points.writer import Key
 from control.files import parsed_json
 from control.model.arm import Arm
 
 FORMAT = "session/1"
-FREE = "free"
 Board = Literal["known", "measured", "unknown", "contact"]
 Seating = Literal["hand", "jog"]
 PoseFrame = Literal["", "base", "stream"]

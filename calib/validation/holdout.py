@@ -18,12 +18,11 @@ import numpy.typing as npt
 from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
-from calib.points.points import Points, seen_again
+from calib.points.points import FREE, Points, seen_again
 from calib.validation.statistics import improvement_percent
 
 FOLDS_COUNT = 5
 GROUPS_PER_FOLD = 3
-FREE = "free"  # the setup of poses away from the board
 FREE_PARTS = 4
 Prediction = tuple[ArmProblem, ModelValues]
 # Of the points that a fit may use and of others: the others' problem with the nominal values, and that with the fit's.

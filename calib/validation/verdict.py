@@ -25,7 +25,7 @@ from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.identification import Identification
 from calib.identify.outliers import Suspects
-from calib.points.points import POSITION, Points, seen_again
+from calib.points.points import FREE, POSITION, Points, seen_again
 from calib.validation.holdout import HeldOut
 from calib.validation.statistics import mean_half_width
 from control.model.arm import Arm
@@ -156,9 +156,10 @@ def verdict(
             f" {1e3 * float(np.mean(held.after_m)):.3f} mm at held-out points: parameters follow the noise, or the other"
             " points do not cover the held-out ones."
         )
-    if len(set(setups)) == 1 and grade in ("good", "noise not known", "not at the floor"):
+    boards = set(setups) - {FREE}
+    if len(boards) == len(set(setups)) == 1 and grade in ("good", "noise not known", "not at the floor"):
         sentences.append(f'This applies only around the setup "{setups[0]}": nothing else was tested.')
-    steps = (*_about_suspects(suspects), *_next(grade, fit, floor, sorted(set(setups))))
+    steps = (*_about_suspects(suspects), *_next(grade, fit, floor, len(boards)))
     return Verdict(grade, tuple(sentences), steps)
 
 
@@ -282,11 +283,12 @@ def _about_suspects(suspects: Suspects | None) -> list[str]:
     ]
 
 
-def _next(grade: Grade, fit: Identification, floor: NoiseFloor | None, setups: list[str]) -> list[str]:
+def _next(grade: Grade, fit: Identification, floor: NoiseFloor | None, boards_count: int) -> list[str]:
     """Next steps, the most useful first."""
     sentences = []
     if grade == "too few points":
-        sentences.append("Take more points: all cavities of the board, in three tilts; armwright plan-poses chooses them.")
+        of_board = ": all cavities of the board, in three tilts" if boards_count else ""
+        sentences.append(f"Take more points{of_board}; armwright plan-poses chooses them.")
     if grade == "not at the floor":
         sentences.append(
             "Run armwright gap: it looks for backlash, compliance and other effects in the residuals. Poses approached from"
@@ -294,14 +296,15 @@ def _next(grade: Grade, fit: Identification, floor: NoiseFloor | None, setups: l
         )
     if grade in ("over-fitted", "worse"):
         sentences.append(
-            "Take free poses away from the board, or more tilts, so that the points cover the arm's working volume; or fix"
-            " parameters that the points hardly determine."
+            f"Take {'free poses away from the board, or more tilts,' if boards_count else 'more poses'} so that the points cover"
+            " the arm's working volume; or fix parameters that the points hardly determine."
         )
     if not math.isfinite(fit.condition_number) or fit.condition_number > CONDITION_LIMIT:
-        tilts = "more tilts of the board and " if len(setups) == 1 else ""
+        tilts = "more tilts of the board and " if boards_count == 1 else ""
+        where = " away from the board" if boards_count else ""
         sentences.append(
             f"The points determine some parameters {fit.condition_number:.0f} times worse than others: add {tilts}a dozen"
-            " poses away from the board (armwright plan-poses)."
+            f" poses{where} (armwright plan-poses)."
         )
     binding = [e.parameter.name for e in fit.estimates if e.is_at_bound and e.is_determined]
     if binding:

@@ -22,6 +22,7 @@ from calib.gap.plan.motions import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
 from calib.gap.report import GapOutcome, gap_parts
 from calib.gap.workflow import Recordings, find_gap_in, read_recordings, write_gap
+from calib.points.points import FREE
 from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
 from calib.report.report import paths_section, verification_section
 from calib.results import Provenance, made_today
@@ -264,7 +265,7 @@ def programme_of(arm: Arm) -> Programme:
         except ArmError:
             continue
         if np.abs(solved - pose).max() < 1e-3 and np.hypot(tip[0], tip[1]) > FROM_AXIS_m:
-            places.append(Place("free", f"v{len(places) + 1}", (tip[0], tip[1], tip[2]), tuple(pose.tolist())))
+            places.append(Place(FREE, f"v{len(places) + 1}", (tip[0], tip[1], tip[2]), tuple(pose.tolist())))
     return Programme(tuple(places), ways(tables.table_of(arm), ("normal",)))
 
 

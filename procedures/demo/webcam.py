@@ -18,7 +18,7 @@ from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, calibrate, write_calibrated_arm
 from calib.identify.identification import identify
-from calib.points.points import Points, make_points
+from calib.points.points import FREE, Points, make_points
 from calib.points.writer import write_points
 from calib.results import input_file, made_today
 from calib.vision.advice import advice
@@ -175,7 +175,7 @@ def _photograph_arm(pictured: PicturedArm, q: Array, out: Path, draw: np.random.
         advance("pictures of the arm", 0.25 + 0.5 * k / len(q))
         file = out / "arm" / f"{picture_name('free', name, 1)}.png"
         write_whole(file, png_of(pictured.picture(pose, draw)))
-    points = make_points(["free"] * len(q), names, [1] * len(q), q, np.full((len(q), 3), np.nan))
+    points = make_points([FREE] * len(q), names, [1] * len(q), q, np.full((len(q), 3), np.nan))
     write_points(out / "joint_angles.csv", points)
     return points
 

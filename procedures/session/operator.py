@@ -26,11 +26,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from calib.errors import SessionError
+from calib.points.points import FREE
 from calib.points.writer import DISTANCE, Record
 from calib.session.conversation import GO, Ask, Do, Recorded, Saying, SessionCommand, SessionQuestion, SmallMove, Talk
 from calib.session.folder import POINTS, SessionFolder
 from calib.session.moves import Vector
-from calib.session.plan import FREE, Mark, SessionPlan, SessionState, Target
+from calib.session.plan import Mark, SessionPlan, SessionState, Target
 from calib.vision.poses import picture_name
 from control.errors import ArmError
 from control.model.arm import Table

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import SessionError
+from calib.points.points import FREE
 from calib.session.moves import chosen_free_poses, read_free_poses
-from calib.session.plan import FREE, Board, PoseFrame, SessionPlan, Target, board_targets, fingerprint, free_targets
+from calib.session.plan import Board, PoseFrame, SessionPlan, Target, board_targets, fingerprint, free_targets
 from control.model import table as tables
 from control.model.arm import Arm, Camera, Table
 from control.tables import WHOLE_LARGEST, TableColumn, TableFormat, read_table

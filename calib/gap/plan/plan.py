@@ -28,6 +28,7 @@ from calib.gap.plan.motions import (
     ramps,
     shake,
 )
+from calib.points.points import FREE
 from control.dynamics.static_pose import gravity_Nm
 from control.errors import MissingModel
 from control.model.arm import Arm
@@ -139,7 +140,6 @@ def _plain(q: Array) -> tuple[float, ...]:
     return tuple(round(float(x), 6) for x in q)
 
 
-SETUP = "free"
 REFERENCE = "ref"
 BLOCK = 7  # poses of a block, about
 GENTLE = 0.15  # of the joints' limits, for the last way: a link that swings as it stops rests on any flank, wound up anyhow
@@ -159,7 +159,7 @@ class PlannedVisit:
     direction: tuple[int, ...]
     payload_kg: float
     via_rad: tuple[float, ...] | None = None
-    setup: str = SETUP
+    setup: str = FREE
 
     @property
     def start_rad(self) -> tuple[float, ...]:
@@ -296,7 +296,7 @@ def _visits(poses: Sequence[NamedPose], room: CollisionFreeBox, payload_kg: floa
     """
     reference = NamedPose(REFERENCE, tuple(round(float(q), 6) for q in room.middle_rad))
     sides = _sides(len(room.lower_rad), number)
-    setup = f"{SETUP}{number + 1}" if number else SETUP
+    setup = f"{FREE}{number + 1}" if number else FREE
     order = [(reference, side) for side in sides]
     for k, pose in enumerate(poses):
         if k == len(poses) // 2:

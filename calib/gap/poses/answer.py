@@ -37,6 +37,7 @@ from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable,
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 from calib.gap.posterior.told import Told
+from calib.points.points import FREE
 from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
 
@@ -207,7 +208,7 @@ def _finding(
     noise = {channel: size for channel, size in floor.sizes.items() if channel in before_si}
     remainder, unknown = remainders(linearised, decision, reasons), unknown_part(linearised, decision, reasons)
     could = nameable(linearised.evidence)
-    has_free = "free" in looked.points.setup
+    has_free = FREE in looked.points.setup
     return GapFinding(
         arm=looked.arm.name,
         data=("points.csv",),

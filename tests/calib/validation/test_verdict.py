@@ -99,6 +99,12 @@ def test_a_weak_design_asks_for_free_poses_and_one_board_for_tilts() -> None:
     assert verdict(fitted(), left_out(0.02, 0.00025), FLOOR, setups=["a", "b"]).next_steps == ()
 
 
+def test_free_poses_are_told_of_no_board() -> None:
+    for fit in (fitted(condition_number=950.0), fitted()):
+        judgement = verdict(fit, left_out(0.02, 0.00025), FLOOR, setups=["free"] * 99)
+        assert not [line for line in (*judgement.sentences, *judgement.next_steps) if "board" in line or "only around" in line]
+
+
 def test_a_real_session_from_end_to_end_is_good_and_with_play_it_is_not() -> None:
     rng = np.random.default_rng(1)
     points = board_points(rng, true_dh(rng))
