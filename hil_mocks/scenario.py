@@ -1,4 +1,4 @@
-"""Scenario files: hidden errors of the mock robot, and its environment. Reference: docs/mock_robot.md.
+"""Scenario files: hidden errors of the mock robot, and its environment. `armwright arm --keys scenario` prints the keys.
 
 Strict: an unknown key, a wrong type or a non-finite number is an error that names file and key.
 """
@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from control.files import read_text
+from control.model.reference import NOT_A_KEY
 from control.strict_toml import converted
 from hil_mocks.errors import ScenarioError
 
@@ -23,121 +24,121 @@ Count = Annotated[int, msgspec.Meta(ge=0)]
 
 
 class TrueDh(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Deviations of the real arm from its nominal DH parameters: drawn from a seed within +- sizes, or given."""
+    """Deviations of the real arm from its nominal DH parameters: drawn within +- sizes, or given."""
 
-    seed: int | None = None  # absent: the scenario's
-    d_m: NotNegative = 0.0
-    theta_rad: NotNegative = 0.0
-    L_m: NotNegative = 0.0
-    alpha_rad: NotNegative = 0.0
-    deviations: dict[str, float] = {}  # link{i}_d_m ...; replaces drawn values
+    seed: Annotated[int | None, "for this draw", "the scenario's"] = None
+    d_m: Annotated[NotNegative, "each d is off by a uniform draw within +- this"] = 0.0
+    theta_rad: Annotated[NotNegative, "the same"] = 0.0
+    L_m: Annotated[NotNegative, "the same"] = 0.0
+    alpha_rad: Annotated[NotNegative, "the same"] = 0.0
+    deviations: Annotated[dict[str, float], "link1_d_m ...: given deviations, instead of drawn ones"] = {}
 
 
 class EffectTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[effect]]`; `joint` is the link's number for an effect of a link. `arms`: whose it is by name; empty: any arm's."""
+    """An effect of docs/formats.md that the arm has; it replaces the same one of the same joint in arm.toml."""
 
-    effect: str
-    joint: int = 0
-    parameters: dict[str, float] = {}
-    arms: tuple[str, ...] = ()
+    effect: Annotated[str, "its name"]
+    joint: Annotated[int, "its joint or link, from 1"] = 0
+    parameters: Annotated[dict[str, float], "by name"] = {}
+    arms: Annotated[tuple[str, ...], "names of those that have it", "all"] = ()
 
 
 class EveryJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """For arms of any number of joints: what each joint has that no `[[effect]]` gives it.
+    """What each joint has that no [[effect]] gives it.
 
     Torques are shares of the joint's torque at its current limit, so that the same scenario fits a wrist and a shoulder.
     """
 
-    coulomb_share: NotNegative = 0.0
-    viscous_share_s_rad: NotNegative = 0.0  # viscous torque at 1 rad/s
-    backlash_rad: NotNegative = 0.0
+    coulomb_share: Annotated[NotNegative, "Coulomb friction"] = 0.0
+    viscous_share_s_rad: Annotated[NotNegative, "viscous friction at 1 rad/s"] = 0.0
+    backlash_rad: Annotated[NotNegative, "play"] = 0.0
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The arm at power-up."""
 
-    q_rad: tuple[float, ...] | None = None  # absent: the rest pose of arm.toml, else all zero
-    raw_counts: tuple[int, ...] | None = None  # counters of the encoder board; absent: 0
-    homed: bool = False  # the encoder board was zeroed earlier and kept its power
+    q_rad: Annotated[tuple[float, ...] | None, "where it stands", "[rest] of arm.toml, else 0"] = None
+    raw_counts: Annotated[tuple[int, ...] | None, "what the encoder board counts there", "0"] = None
+    homed: Annotated[bool, "zeroed earlier, and kept its power: counts nominal, ZERO_SET set"] = False
 
 
 class PlantTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Options of the physics."""
+    """The physics."""
 
-    timestep_s: Positive = 5e-4
-    link_share: Share = 0.5
-    end_stop_margin_rad: Positive = 0.05
-    arm_effects: bool = True  # the [[effect]] tables of arm.toml are real
+    timestep_s: Annotated[Positive, "of the physics"] = 5e-4
+    link_share: Annotated[Share, "of a joint's friction, on the link side of the gear"] = 0.5
+    end_stop_margin_rad: Annotated[Positive, "of the end stops behind each joint limit"] = 0.05
+    arm_effects: Annotated[bool, "whether the [[effect]] of arm.toml are real"] = True
 
 
 class HandTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The hand that seats the tip in a cavity."""
 
-    speed_m_s: Positive = 0.3
-    seating_noise_m: NotNegative = 0.0  # standard deviation per axis
+    speed_m_s: Annotated[Positive, "of the tip in the hand"] = 0.3
+    seating_noise_m: Annotated[NotNegative, "standard deviation per axis"] = 0.0
 
 
 class EncoderBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The encoder board's own imperfections."""
 
-    clock_ppm: float = 20.0  # its clock runs fast by this
-    index_error_rad: NotNegative = 0.0  # joint angle; the true index is off nominal by up to this, seeded
+    clock_ppm: Annotated[float, "by which its clock runs fast"] = 20.0
+    index_error_rad: Annotated[NotNegative, "the true index is off by a uniform draw within +- this, at the joint"] = 0.0
 
 
 class MotorBoardTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The motor boards' own imperfections."""
 
-    current_noise_A: NotNegative = 0.005
-    current_step_A: Positive = 0.001  # of the analogue-to-digital converter
-    supply_noise_V: NotNegative = 0.01
-    ambient_degC: float = 25.0
-    thermal_K_W: NotNegative = 2.0  # power stage to ambient
-    thermal_time_s: Positive = 60.0
-    bridge_ohm: NotNegative = 0.02  # heats the power stage
-    rated_degC: float = 90.0
-    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8)] = 8  # spare pins of each board; 0: an older firmware
+    current_noise_A: Annotated[NotNegative, "standard deviation of the measured current"] = 0.005
+    current_step_A: Annotated[Positive, "of the analogue-to-digital converter"] = 0.001
+    supply_noise_V: Annotated[NotNegative, "standard deviation of the measured supply"] = 0.01
+    ambient_degC: Annotated[float, "around the power stage"] = 25.0
+    thermal_K_W: Annotated[NotNegative, "from power stage to ambient"] = 2.0
+    thermal_time_s: Annotated[Positive, "time constant of the power stage"] = 60.0
+    bridge_ohm: Annotated[NotNegative, "heats the power stage"] = 0.02
+    rated_degC: Annotated[float, "above it the board is over-temperature"] = 90.0
+    digital_pins: Annotated[int, msgspec.Meta(ge=0, le=8), "spare pins of each board; 0: an older board"] = 8
 
 
 class GripperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The gripper of arm.toml as it really is, and what is between its fingers."""
 
-    start: Share = 0.5  # of its travel, at power-up
-    friction_N: NotNegative = 1.0
-    object_m: NotNegative | None = None  # width of an object; absent: nothing
-    object_N_m: Positive = 2e4  # its stiffness
+    start: Annotated[Share, "opening at power-up, as a share of the travel"] = 0.5
+    friction_N: Annotated[NotNegative, "dry friction"] = 1.0
+    object_m: Annotated[NotNegative | None, "width of an object", "none is there"] = None
+    object_N_m: Annotated[Positive, "its stiffness"] = 2e4
 
 
 class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The camera that sees the tip."""
 
-    rate_Hz: Positive = 100.0
-    noise_m: NotNegative | None = None  # absent: that of arm.toml, else 0.14 mm
-    latency_s: NotNegative = 0.008
-    dropout: Share = 0.0  # share of frames without the tip
-    clock_ppm: float = 0.0
-    place_m: tuple[float, float, float] = (1.4, -0.9, 0.2)  # of a motion capture system's frame, in the base frame
-    turn_rad: tuple[float, float, float] = (0.1, -0.2, 2.0)
+    rate_Hz: Annotated[Positive, "of its frames"] = 100.0
+    noise_m: Annotated[NotNegative | None, "standard deviation per axis", "arm.toml's, else 0.14 mm"] = None
+    latency_s: Annotated[NotNegative, "from the picture to the frame"] = 0.008
+    dropout: Annotated[Share, "share of frames without the tip"] = 0.0
+    clock_ppm: Annotated[float, "by which its clock runs fast"] = 0.0
+    place_m: Annotated[tuple[float, float, float], "of a motion capture system's frame, in the base frame"] = (1.4, -0.9, 0.2)
+    turn_rad: Annotated[tuple[float, float, float], "the same, its rotation vector"] = (0.1, -0.2, 2.0)
 
 
 class FaultTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One `[[fault]]`: `board` is encoder, motor1 ... or camera; `until_s` absent: to the end."""
+    """A fault of docs/mock_robot.md."""
 
-    kind: str
-    board: str
-    channel: int = 0  # of the encoder board, 0-based
-    at_s: NotNegative = 0.0
-    until_s: float | None = None
-    probability: Share = 1.0  # of frames, where the kind acts on frames
-    value: float | None = None  # by kind
+    kind: Annotated[str, "its name"]
+    board: Annotated[str, "encoder, encoder2 ...; motor1 ... by node; camera; roboclaw1 ..., drive11 ..., servo1 ..."]
+    channel: Annotated[int, "of the encoder board or RoboClaw, from 0"] = 0
+    at_s: Annotated[NotNegative, "when it begins; 0 for one that is built in"] = 0.0
+    until_s: Annotated[float | None, "when it ends", "never"] = None
+    probability: Annotated[Share, "of frames, where the kind acts on frames"] = 1.0
+    value: Annotated[float | None, "by kind"] = None
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that is not in arm.toml: hidden deviations, effects, noise, faults. The defaults are an ideal robot."""
+    """A scenario: hidden deviations, effects, noise and faults that are not in arm.toml. The defaults are an ideal robot."""
 
-    name: str = "ideal"
-    seed: int = 0
-    tick_s: Positive = 1e-3  # of the boards
-    firmware: Literal["python", "c"] | None = None  # of the reference boards; absent: $ARMWRIGHT_MOCK_FIRMWARE, else python
+    name: Annotated[str, "of the scenario"] = "ideal"
+    seed: Annotated[int, "fixes all that is random"] = 0
+    tick_s: Annotated[Positive, "of the boards; a multiple of plant.timestep_s"] = 1e-3
+    firmware: Annotated[Literal["python", "c"] | None, "of the reference boards", "$ARMWRIGHT_MOCK_FIRMWARE, else python"] = None
     true_dh: TrueDh = TrueDh()
     effect: tuple[EffectTable, ...] = ()
     every_joint: EveryJoint = EveryJoint()
@@ -147,10 +148,10 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     encoder_board: EncoderBoardTable = EncoderBoardTable()
     motor_board: MotorBoardTable = MotorBoardTable()
     gripper: GripperTable = GripperTable()
-    wire: dict[str, str] = {}  # from an output's name to the input that it is connected to
+    wire: Annotated[dict[str, str], "from an output's name in arm.toml to that of the input it is connected to"] = {}
     camera: CameraTable = CameraTable()
     fault: tuple[FaultTable, ...] = ()
-    path: str = ""  # set by the reader
+    path: Annotated[str, NOT_A_KEY] = ""
 
     def drawn_deviations(self, links: int) -> dict[str, float]:
         """The true DH deviations by name, `link1_d_m` ...; drawn ones, overridden by given ones."""

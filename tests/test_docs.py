@@ -10,13 +10,17 @@ import pytest
 
 from calib.gap.log import LOG
 from calib.points.reading import POINTS
+from calib.tolerances.making import TolerancesFile
 from console.main import parser
+from control.model.arm import Arm
 from control.model.board_kinds import KINDS
+from control.model.cell import CellFile
 from control.model.effects import EFFECTS, parameter_names
 from control.model.reference import sections
 from control.recording.record import END_FIELDS, Layout
 from control.tables import documented
 from firmware_iface.installation import PACKAGES
+from hil_mocks.scenario import Scenario
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -311,9 +315,11 @@ def test_the_columns_of_points_and_logs_are_those_that_the_reader_obeys() -> Non
     assert documented(LOG) in text
 
 
-def test_every_key_of_an_arm_file_is_explained() -> None:
-    keys = [(section.header, key) for section in sections() for key in section.keys]
-    assert [(header, key.name) for header, key in keys if not key.text] == []
+@pytest.mark.parametrize("file", [Arm, CellFile, Scenario, TolerancesFile])
+def test_every_key_and_table_of_a_toml_file_is_explained(file: type) -> None:
+    found = sections(file)
+    assert [section.header for section in found if not section.about] == []
+    assert [(section.header, key.name) for section in found for key in section.keys if not key.text] == []
 
 
 def test_every_column_of_a_recording_is_in_the_formats() -> None:

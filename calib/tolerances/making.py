@@ -30,7 +30,7 @@ from control.model.arm import Arm
 from control.model.effects import backlash_rad, compliance_rad
 from control.strict_toml import Fault, converted, table_as
 
-# tolerances.toml: how exactly each part of an arm is made, as distributions. Reference: docs/formats.md.
+# tolerances.toml: how exactly each part of an arm is made, as distributions; `armwright arm --keys tolerances` prints the keys.
 #
 # Strict: an unknown key, a wrong type, a part that the arm does not have, or a number that is not finite is
 # one error.
@@ -82,48 +82,54 @@ class Spread(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LinkTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Deviations of a link's DH parameters from nominal, and its bending stiffness."""
+    """Deviations of every link's DH parameters from arm.toml, and its bending stiffness."""
 
-    d_m: Spread | None = None
-    theta_rad: Spread | None = None
-    L_m: Spread | None = None
-    alpha_rad: Spread | None = None
-    EI_Nm2: Spread | None = None
+    d_m: Annotated[Spread | None, "deviation from arm.toml"] = None
+    theta_rad: Annotated[Spread | None, "the same"] = None
+    L_m: Annotated[Spread | None, "the same"] = None
+    alpha_rad: Annotated[Spread | None, "the same"] = None
+    EI_Nm2: Annotated[Spread | None, "bending stiffness of a link of 50 mm or more; above 0"] = None
 
 
 class JointTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is between a joint's motor, its encoder and its link."""
+    """What is between every joint's motor, its encoder and its link."""
 
-    encoder_zero_rad: Spread | None = None
-    encoder_scale: Spread | None = None
-    encoder_eccentricity_rad: Spread | None = None
-    gear_eccentricity_rad: Spread | None = None
-    gear_waves_per_turn: Positive = 1.0  # of the gear's eccentricity, per turn of the joint
-    backlash_rad: Spread | None = None
-    stiffness_Nm_rad: Spread | None = None
+    encoder_zero_rad: Annotated[Spread | None, "deviation of the joint's zero"] = None
+    encoder_scale: Annotated[Spread | None, "the joint turns (1 + scale) times the encoder's reading"] = None
+    encoder_eccentricity_rad: Annotated[Spread | None, "amplitude, not below 0; the phase is anywhere"] = None
+    gear_eccentricity_rad: Annotated[Spread | None, "the same"] = None
+    gear_waves_per_turn: Annotated[Positive, "of the gear's eccentricity, in one turn of the joint"] = 1.0
+    backlash_rad: Annotated[Spread | None, "total play, not below 0"] = None
+    stiffness_Nm_rad: Annotated[Spread | None, "of gear, shaft or belt; above 0"] = None
 
 
 class ToolTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Deviations of the tip in the last frame."""
 
-    x_m: Spread | None = None
-    y_m: Spread | None = None
-    z_m: Spread | None = None
+    x_m: Annotated[Spread | None, "deviation from arm.toml"] = None
+    y_m: Annotated[Spread | None, "the same"] = None
+    z_m: Annotated[Spread | None, "the same"] = None
 
 
 class CalibrationTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the arm will be calibrated: number of poses, and standard deviation of one axis of the measured tip."""
+    """How the arm will be calibrated."""
 
-    poses: Annotated[int, msgspec.Meta(ge=10, le=5000)] = 60
-    noise_m: NotNegative | None = None  # absent: that of arm.toml's [camera]
+    poses: Annotated[int, msgspec.Meta(ge=10, le=5000), "that will be measured"] = 60
+    noise_m: Annotated[NotNegative | None, "standard deviation of one axis of the measured tip", "that of [camera]"] = None
 
 
-class _Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    name: str = ""
+class TolerancesFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A tolerances.toml: how exactly parts are made. Without a tolerance a part is exact.
+
+    A spread is { within = 2e-4 } (uniform, +-) or { sd = 1e-4 } (normal), both optionally with mean; or
+    { from = 0.0, to = 1e-3 }.
+    """
+
+    name: Annotated[str, "for you"] = ""
     every_link: LinkTolerances = LinkTolerances()
     every_joint: JointTolerances = JointTolerances()
-    link: dict[str, dict[str, object]] = {}
-    joint: dict[str, dict[str, object]] = {}
+    link: Annotated[dict[str, dict[str, object]], "[link.2]: keys of [every_link], for that link"] = {}
+    joint: Annotated[dict[str, dict[str, object]], "[joint.3]: keys of [every_joint], for that joint"] = {}
     tool: ToolTolerances = ToolTolerances()
     calibration: CalibrationTable = CalibrationTable()
 
@@ -162,7 +168,7 @@ def parse_tolerances(text: str, where: str, arm: Arm) -> Tolerances:
         hint = ", such as { within = 2e-4 }" if "Expected a table" in what else ""
         return TolerancesFileError(f"{where}: {what}{hint}")
 
-    document = converted(text, _Document, fault)
+    document = converted(text, TolerancesFile, fault)
     links = _of_each(document.link, document.every_link, LinkTolerances, len(arm.links), "link", fault)
     joints = _of_each(document.joint, document.every_joint, JointTolerances, arm.joint_count, "joint", fault)
     named: list[tuple[str, msgspec.Struct]] = [(f"link.{k}", one) for k, one in enumerate(links, 1)]

@@ -24,9 +24,12 @@ LEROBOT, PYTHON = "lerobot", "python"
 def run(args: argparse.Namespace) -> int:
     """Print a summary of the file, or the keys that it may have; write it in another format, or write one from another format."""
     if args.command == "arm" and args.keys is not None:
+        from calib.tolerances.making import TolerancesFile
+        from control.model.cell import CellFile
         from control.model.reference import reference_text
+        from hil_mocks.scenario import Scenario
 
-        sys.stdout.write(reference_text(args.keys))
+        sys.stdout.write(reference_text(args.keys, {"cell": CellFile, "scenario": Scenario, "tolerances": TolerancesFile}))
         return 0
     if args.command == "arm" and (args.from_urdf or args.from_mjcf):
         return _imported(args)

@@ -1,6 +1,6 @@
 """Several arms that stand together: a cell.toml names their files, where each base stands, and the links they share.
 
-The frame of the cell is the one in which `origin_m` and `orientation` are given. docs/two_arms.md lists the keys.
+The frame of the cell is the one in which `origin_m` and `orientation` are given. `armwright arm --keys cell` prints the keys.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ Quaternion = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ArmEntry:
-    """One `[[arm]]` of a cell.toml: its file, its base, and what differs from the file beside another arm."""
+    """An arm of the cell: its file, its base, and what differs from the file beside another arm."""
 
     file: Annotated[str, "an arm.toml, relative to this file, or the name of a supplied arm"]
     name: Annotated[str, rules.NAME, "in commands, sockets and recordings; absent: that of its file"] = ""
@@ -48,13 +48,15 @@ class ArmEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class _File:
-    """The keys of a cell.toml."""
+class CellFile:
+    """A cell.toml: several arms under one runtime. Without [can] each arm has the bus of its own file."""
 
-    name: Annotated[str, rules.NAME]
+    name: Annotated[str, rules.NAME, "of the cell"]
     entries: tuple[ArmEntry, ...] = field(metadata={"key": "arm"})
-    clearance_m: Annotated[float, rules.CLEARANCE, rules.NOT_NEGATIVE] = 0.02
-    tool_length_m: Annotated[float, rules.CLEARANCE, rules.NOT_NEGATIVE] = 0.0
+    clearance_m: Annotated[float, rules.CLEARANCE, rules.NOT_NEGATIVE, "kept between two arms, beyond their radii"] = 0.02
+    tool_length_m: Annotated[
+        float, rules.CLEARANCE, rules.NOT_NEGATIVE, "of each arm's tool, up to the tip; two tools may touch"
+    ] = 0.0
     can: CanBus | None = None
 
 
@@ -181,7 +183,7 @@ def _parsed(text: str, path: Path) -> Cell:
         keys = parsed_toml(text)
         if "link" in keys:
             raise ArmFileError(path, None, "", "the arms of a cell", "an arm.toml", "give it with --arm")
-        table = read_table(_File, keys)
+        table = read_table(CellFile, keys)
         cell = Cell(
             table.name,
             tuple(_placed(entry, index, table.can, path) for index, entry in enumerate(table.entries)),

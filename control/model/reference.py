@@ -1,4 +1,8 @@
-"""Every key of an arm.toml as text, from the definitions that the reader obeys (`control.model.arm`): `armwright arm --keys`."""
+"""Every key of a TOML file as text, from the definitions that its reader obeys: `armwright arm --keys`.
+
+In: the dataclass (`control.model.reader`) or msgspec Struct (`control.strict_toml`) of the file, whose annotations hold what a
+key says. Out: its tables, each with its keys.
+"""
 
 import dataclasses
 import math
@@ -7,7 +11,9 @@ import textwrap
 import types
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgspec
 
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -15,8 +21,10 @@ from control.model.reader import keys_of
 from control.model.rules import Rule
 
 REQUIRED = "required"  # as a default
+NOT_A_KEY: Final = "set by the reader"  # as an annotation of a Struct's field
 WIDTH, WIDTH_OF_VALUES = 125, 30  # of the text and of its second column, in characters
 HEAD = """Every key of an arm.toml. `armwright new` writes a file with comments, `armwright arm FILE` checks it.
+Of other files: {others}.
 
 SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused;
 `as_given = true` overrides what rests on the other values of the file. Unknown keys are errors. A section without required keys
@@ -61,9 +69,9 @@ class FileSection:
     keys: tuple[Key, ...]
 
 
-def sections() -> tuple[FileSection, ...]:
-    """Every table of an arm.toml, in the order in which the dataclasses name them."""
-    return tuple(_sections("", Arm))
+def sections(file: type[Any] = Arm) -> tuple[FileSection, ...]:
+    """Every table of a file, an arm.toml if no other is given, in the order in which the classes name them."""
+    return tuple(_sections("", file))
 
 
 def texts_of(kind: type[Any]) -> dict[str, str]:
@@ -72,16 +80,18 @@ def texts_of(kind: type[Any]) -> dict[str, str]:
     return {key: _notes(hints[field.name])[0] for key, field in keys_of(kind).items()}
 
 
-def reference_text(name: str = "") -> str:
-    """Every section with its keys, or only section `name` ("drive.home"). ArmError if there is no such section."""
+def reference_text(name: str, others: Mapping[str, type[Any]]) -> str:
+    """Every section of an arm.toml, only section `name` ("drive.home"), or every one of the file `name` of `others`. ArmError."""
     named = {section.header.strip("[]"): section for section in sections()}
-    if name and name not in named:
-        near = get_close_matches(name, named, n=1, cutoff=0.5)
+    known = [*filter(None, named), *others]
+    if name and name not in known:
+        near = get_close_matches(name, known, n=1, cutoff=0.5)
         meant = f" (did you mean {near[0]}?)" if near else ""
-        raise ArmError(f'--keys: expected one of {", ".join(filter(None, named))}; got "{name}"{meant}')
-    shown = [named[name]] if name else [*named.values()]
+        raise ArmError(f'--keys: expected one of {", ".join(known)}; got "{name}"{meant}')
+    shown = sections(others[name]) if name in others else [named[name]] if name else [*named.values()]
     parts = ["\n".join((s.header or "[top level]", s.about, *_rows(s.keys))) + "\n" for s in shown]
-    return "\n".join(parts if name else (HEAD, *parts))
+    head = HEAD.format(others=", ".join(f"`armwright arm --keys {other}`" for other in others))
+    return "\n".join(parts if name else (head, *parts))
 
 
 def _rows(keys: tuple[Key, ...]) -> Iterator[str]:
@@ -105,9 +115,10 @@ def _sections(header: str, kind: type[Any]) -> Iterator[FileSection]:
     hints = get_type_hints(kind, include_extras=True)
     inner: list[FileSection] = []
     keys: list[Key] = []
-    for name, field in keys_of(kind).items():
+    for name, field in _fields(kind):
         table, is_list = _table_in(hints[field.name])
-        if table is None:
+        is_value = table is not None and issubclass(table, msgspec.Struct) and _notes(hints[field.name])[0]  # in braces
+        if table is None or is_value:
             keys.append(_key(name, field, hints[field.name]))
             continue
         parent = header.strip("[]")
@@ -117,13 +128,20 @@ def _sections(header: str, kind: type[Any]) -> Iterator[FileSection]:
     yield from inner
 
 
+def _fields(kind: type[Any]) -> list[tuple[str, Any]]:
+    """The keys of a table with their fields, which have a name and a default."""
+    if not issubclass(kind, msgspec.Struct):
+        return list(keys_of(kind).items())
+    return [(field.encode_name, field) for field in msgspec.structs.fields(kind) if NOT_A_KEY not in get_args(field.type)]
+
+
 def _table_in(hint: Any) -> tuple[type[Any] | None, bool]:
-    """The dataclass that a key's value is read as, if it is a table, and whether it is a list of them."""
+    """The class that a key's value is read as, if it is a table, and whether it is a list of them."""
     bare = _bare(hint)
     if get_origin(bare) is tuple:
         table, _ = _table_in(get_args(bare)[0])
         return table, table is not None
-    if isinstance(bare, type) and dataclasses.is_dataclass(bare):
+    if isinstance(bare, type) and (dataclasses.is_dataclass(bare) or issubclass(bare, msgspec.Struct)):
         return bare, False
     return None, False
 
@@ -146,7 +164,7 @@ def _notes(hint: Any) -> tuple[str, str]:
     return text, default
 
 
-def _key(name: str, field: "dataclasses.Field[Any]", hint: Any) -> Key:
+def _key(name: str, field: Any, hint: Any) -> Key:
     text, default_words = _notes(hint)
     return Key(name, _value(hint), default_words or _default(field), text)
 
@@ -169,12 +187,20 @@ def _rules(hint: Any) -> list[str]:
     """The conditions on a value, from the innermost."""
     if get_origin(hint) is Annotated:
         kind, *notes = get_args(hint)
-        return [*_rules(kind), *(note.expected for note in notes if isinstance(note, Rule))]
+        bounds = [_bounds(note) for note in notes if isinstance(note, msgspec.Meta)]
+        return [*_rules(kind), *(note.expected for note in notes if isinstance(note, Rule)), *bounds]
     if get_origin(hint) in (Union, types.UnionType):
         return [rule for kind in get_args(hint) for rule in _rules(kind)]
     if get_origin(hint) is tuple:
         return [f"each {rule}" for rule in _rules(get_args(hint)[0])]
     return []
+
+
+def _bounds(meta: msgspec.Meta) -> str:
+    """A condition of msgspec on a number."""
+    if meta.ge is not None and meta.le is not None:
+        return f"{meta.ge:g} to {meta.le:g}"
+    return f"> {meta.gt:g}" if meta.gt is not None else f"≥ {meta.ge:g}"
 
 
 def _kind(hint: Any) -> str:
@@ -184,18 +210,19 @@ def _kind(hint: Any) -> str:
         return ", ".join(f'"{choice}"' for choice in get_args(bare))
     if origin is tuple:
         inner = get_args(bare)
-        return "list of numbers" if inner[-1] is Ellipsis else f"{len(inner)} numbers"
-    if origin is Mapping:
+        of = "texts" if _bare(inner[0]) is str else "numbers"
+        return f"list of {of}" if inner[-1] is Ellipsis else f"{len(inner)} {of}"
+    if origin in (Mapping, dict):
         return "table"
     names = {str: "text", bool: "boolean", int: "whole number", float: "number"}
-    return names[bare]
+    return names[bare] if bare in names else str(bare.__name__).lower()
 
 
-def _default(field: "dataclasses.Field[Any]") -> str:
+def _default(field: Any) -> str:
     value = field.default
-    if field.default_factory is not dataclasses.MISSING:
+    if field.default_factory not in (dataclasses.MISSING, msgspec.NODEFAULT):
         value = field.default_factory()
-    if value is dataclasses.MISSING:
+    if value in (dataclasses.MISSING, msgspec.NODEFAULT):
         return REQUIRED
     if value is None or value in ((), {}, "") or (isinstance(value, float) and math.isinf(value)):
         return ""

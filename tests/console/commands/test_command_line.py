@@ -343,6 +343,21 @@ def test_arm_keys_prints_every_key_of_every_section_or_those_of_one(capsys: pyte
         assert shown in everything
 
 
+def test_arm_keys_prints_the_keys_of_a_scenario_as_its_reader_has_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["arm", "--keys", "scenario"]) == 0
+    shown = capsys.readouterr().out
+    keys = (" tick_s    > 0 (0.001) ", "[[fault]]", "*kind ", " digital_pins     0 to 8 (8) ", ' firmware  "python", "c" ')
+    assert [key for key in keys if key not in shown] == []
+    assert " path " not in shown, "the reader sets it, and refuses it in a file"
+
+
+def test_arm_keys_has_a_spread_for_a_value_and_not_for_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["arm", "--keys", "tolerances"]) == 0
+    shown = capsys.readouterr().out
+    assert " backlash_rad              spread   total play" in shown
+    assert "[every_joint.backlash_rad]" not in shown
+
+
 def test_a_section_of_arm_toml_that_there_is_not_is_told_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["arm", "--keys", "drive.hom"]) == 2
     assert "did you mean drive.home?" in capsys.readouterr().err
