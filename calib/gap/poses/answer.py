@@ -37,6 +37,7 @@ from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable,
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 from calib.gap.posterior.told import Told
+from calib.gap.words import listed
 from calib.points.points import FREE
 from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
@@ -60,10 +61,11 @@ def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> St
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(linearised, best, changed)
+    totals = {name: estimates[name] for name in order}
+    decision, reasons = _with_sets_that_stand(linearised, decision, totals, firmer, reasons)
     beside = _open_members(linearised, decision)
     looked_at = dataclasses.replace(looked, floor=floor)
     nominal_fit = placed(looked.arm, points, parts.known)
-    totals = {name: estimates[name] for name in order}
     decision, files, reasons = _files(looked_at, nominal_fit, decision, totals, beside, firmer, reasons)
     order = [name for name in order if name in decision.names]
     last, nominal, residuals = files[-1], nominal_fit.residuals(), [file.fit.residuals() for file in files]
@@ -116,7 +118,7 @@ def _files(
     poses that nobody fitted; without names that it cannot hold; `given`, the arm as it was, where it has no name and no map.
     `firmer`: names whose values other recordings know better.
     """
-    named = {name: {} if _is_nothing(estimate) else estimate.parameters for name, estimate in estimates.items()}
+    named = {name: _acting(estimate) for name, estimate in estimates.items()}
     arm, points, rows, keys = looked.arm, looked.points, looked.parts.known, list(named)
     last = File.of(arm, points, rows, named, beside, firmer)
     why = {name: f"{name} was identified with impossible values" for name in keys if named[name] and not last.has(name)}
@@ -141,6 +143,36 @@ def _files(
         for count in range(len(keys) + bool(last.arm.maps))
     ]
     return decision, [*files, last], reasons
+
+
+def _with_sets_that_stand(
+    linearised: Linearised,
+    decision: Decision,
+    estimates: Mapping[EffectName, Estimated],
+    firmer: Collection[EffectName],
+    reasons: Mapping[EffectName, str],
+) -> tuple[Decision, Mapping[EffectName, str]]:
+    """Without ambiguous sets of which no member would stand in the file in the set's place: one of nothing is nothing."""
+    looked, named = linearised.looked, {name: _acting(estimate) for name, estimate in estimates.items()}
+
+    def stands(name: EffectName, group: Sequence[EffectName]) -> bool:
+        others = tuple(member for member in decision.best.members if linearised.terms[member[0]].key not in group)
+        estimate = estimated(linearised.evidence, dataclasses.replace(decision.best, members=others), name)
+        if not is_possible(name.effect, estimate.parameters):
+            return False
+        with_it = {**named, name: estimate.parameters}
+        file = File.of(looked.arm, looked.points, looked.parts.known, with_it, {}, firmer, is_last=False)
+        return file.has(name) and file.sureness(name, estimate) >= 1.0
+
+    fallen = [group for group in decision.ambiguous if not any(stands(name, group) for name in group)]
+    why = {group[0]: f"{listed(group)} may as well be none, whichever it is" for group in fallen}
+    sets = tuple(group for group in decision.ambiguous if group not in fallen)
+    return dataclasses.replace(decision, ambiguous=sets, remainders=(*decision.remainders, *fallen)), {**reasons, **why}
+
+
+def _acting(estimate: Estimated) -> Parameters:
+    """Its parameters; none of what is found to be nothing."""
+    return {} if _is_nothing(estimate) else estimate.parameters
 
 
 def _maps(file: File, report: Mask) -> MeasuredMaps | None:

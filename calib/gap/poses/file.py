@@ -22,8 +22,7 @@ from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.links import FRAME
 from calib.gap.finding import EffectName, Parameters, effect_of, with_totals
 from calib.gap.poses.linear import Fit
-from calib.gap.posterior.constants import CHECKED_sd
-from calib.gap.posterior.decide import Estimated, reaching, sureness
+from calib.gap.posterior.decide import Estimated, sureness_of_file
 from calib.gap.posterior.term import parameters_of
 from calib.identify.identification import Identification
 from calib.identify.objective import LeastSquares
@@ -146,7 +145,7 @@ class File:
         if len(value) != len(first.value) or not terms:
             return math.inf
         larger = np.maximum(np.array([self.sd[term] for term in terms]) / first.sd, 1.0)
-        return sureness(value, reaching(first.covariance * np.outer(larger, larger), value - first.value), CHECKED_sd)
+        return sureness_of_file(value, first.value, first.covariance * np.outer(larger, larger))
 
     def _terms(self, name: EffectName) -> list[str]:
         """Names of an effect's linear unknowns, if these were identified."""

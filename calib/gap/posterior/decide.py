@@ -234,16 +234,16 @@ def sureness(apart: Array, covariance: Array, least_sd: float) -> float:
     return math.sqrt(max(0.0, float(apart @ np.linalg.solve(covariance, apart))) / float(least))
 
 
-def reaching(covariance: Array, apart: Array) -> Array:
-    """Covariance (c, c) with which a file's coefficients, `apart` (c,) from the posterior's, are asked whether they are none.
+def sureness_of_file(file: Array, posterior: Array, covariance: Array) -> float:
+    """How sure an effect is that a file has with coefficients (c,), over how sure it has to be: below 1, it may be none.
 
-    The posterior has them beside all that has no name, the file's laws take its part: nothing says which of the two is right, so
-    the interval reaches as far as the posterior's value. Then nought is in it where it is nearer than that: the file does not
-    bear out so much of the effect as it lacks. Where it has more than the posterior, nothing speaks for none. What is written
-    counts all of `apart` as one standard deviation: neither of the two need be the end.
+    The posterior has others, beside all that has no name; the file's laws take its part. Nothing says which of the two is right,
+    so the interval around the file's reaches as far as the posterior's, on that side: where the posterior has more, nothing
+    speaks for none.
     """
-    reach = apart / CHECKED_sd
-    return np.asarray(covariance + np.outer(reach, reach))
+    reach = (posterior - file) / CHECKED_sd
+    is_towards_none = float(reach @ np.linalg.solve(covariance, file)) < 0.0
+    return sureness(file, covariance + is_towards_none * np.outer(reach, reach), CHECKED_sd)
 
 
 def estimated(evidence: Evidence, weighed: Weighed, key: Key) -> Estimated:

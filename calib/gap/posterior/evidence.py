@@ -174,15 +174,15 @@ class Evidence:
         gains: list[float] = (top + np.log(spread) + self._odds).tolist()
         return gains
 
-    def _of_batch(self, batch: Batch, factor: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array]:
-        """Log evidence that each term adds, the best of its scales, and how much that one alone adds."""
+    def _of_batch(self, batch: Batch, factor: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array, Array]:
+        """Log evidence that each term adds, the best of its scales, what that one alone adds, and the part of bounds in that."""
         seen = batch.tip / kappa**2 + batch.current
         if factor.size:
             part = factor[batch.places]  # (t, c, k)
             seen -= part @ part.transpose(0, 2, 1)
         sd = batch.sd
         law_sizes, width, log = _estimates(seen, pull[batch.places], sd, batch.laws)
-        log = log + batch.weight
+        bound = np.zeros(log.shape)
         # sizes are counted in sd here; a departure is a share of the law: without the law there is none
         least = np.where(np.any(sd[:, batch.laws :] > 0.0, axis=1) & batch.is_name, LAW_LEAST, -np.inf)
         law = np.linalg.norm(law_sizes, axis=2)
@@ -191,14 +191,15 @@ class Evidence:
             least = np.maximum(least, own_least)
             # what is known to be positive is so with twice the density; a secant says nothing beyond its reach
             is_beyond = np.isfinite(most) & ((law <= own_least) | (law >= most))
-            log = log + math.log(2.0) + log_ndtr((most - law) / width) + np.where(is_beyond, NEVER, 0.0)
-        log = log + log_ndtr((law - least) / width)
+            bound = math.log(2.0) + log_ndtr((most - law) / width) + np.where(is_beyond, NEVER, 0.0)
+        bound = bound + log_ndtr((law - least) / width)
+        log = log + batch.weight + bound
         best = np.argmax(log, axis=1)
-        top = np.take_along_axis(log, best[:, None], axis=1)[:, 0]
-        return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top
+        top, of_bound = (np.take_along_axis(own, best[:, None], axis=1)[:, 0] for own in (log, bound))
+        return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top, of_bound
 
     def value(self, members: Sequence[Member], kappa: float) -> float:
-        """Ln Z of a set over nothing at the floor, the priors of its scales and of kappa included."""
+        """Ln Z of a set over nothing at the floor, the priors of its scales and of kappa included, without bounds of laws."""
         at, sd = self._columns(members)
         gram = self.gram
         total = -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
@@ -279,16 +280,19 @@ def _estimates(seen: Array, pull: Array, sd: Array, laws: int) -> tuple[Array, A
 
 @dataclass(frozen=True, slots=True)
 class Added:
-    """What each term adds to a set: log evidence summed over its scales, its best scales, and what these alone add."""
+    """What each term adds to a set: log evidence summed over its scales, its best scales, what these alone add, and how much of
+    that says whether its law lies within its bounds.
+    """
 
     log: Array
     best: Array
     top: Array
+    bound: Array
 
     @classmethod
-    def of(cls, numbers: Sequence[Array], added: Sequence[tuple[Array, Array, Array]], count: int) -> Added:
+    def of(cls, numbers: Sequence[Array], added: Sequence[tuple[Array, Array, Array, Array]], count: int) -> Added:
         """From batches; minus infinity where a term was not asked for."""
-        log, best, top = np.full(count, -np.inf), np.zeros(count, dtype=int), np.full(count, -np.inf)
-        for own, (a, b, c) in zip(numbers, added, strict=True):
-            log[own], best[own], top[own] = a, b, c
-        return cls(log, best, top)
+        whole = cls(np.full(count, -np.inf), np.zeros(count, dtype=int), np.full(count, -np.inf), np.zeros(count))
+        for own, (log, best, top, bound) in zip(numbers, added, strict=True):
+            whole.log[own], whole.best[own], whole.top[own], whole.bound[own] = log, best, top, bound
+        return whole

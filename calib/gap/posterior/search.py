@@ -2,10 +2,12 @@
 
 The log posterior of a set S of keys, each in its best variant and scales, with the noise kappa that S itself asks for, is
   ln P(S | y) = ln Z(S, kappa) + sum over S of (ln of the sum over variants and scales of their evidence, over the best's)
+                + sum over S of ln (P(law within its bounds | y, the others) / P(law within its bounds))
                 + sum over S of ln (p / (1 - p)),   p the prior of a name or a block,
-with ln Z of `evidence.py` (the weights of scales in it). Variants and scales are polished one member at a time, kappa after each
-round (coordinate ascent); a set is weighed once, whatever way leads to it. What one key more would add is known for all keys at
-once from the Schur complement of `Evidence.added`, so that only the few that add most are weighed.
+with ln Z of `evidence.py` (the weights of scales in it): a friction that drives is none, whatever it explains. Variants and
+scales are polished one member at a time, kappa after each round (coordinate ascent); a set is weighed once, whatever way leads
+to it. What one key more would add is known for all keys at once from the Schur complement of `Evidence.added`, so that only the
+few that add most are weighed.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.evidence import NEVER, Evidence, Member, Weighed
+from calib.gap.posterior.evidence import Evidence, Member, Weighed
 from calib.gap.posterior.term import Key, Traits
 
 GROWTH = 2  # terms that are tried beside a set that still grows
@@ -152,12 +154,11 @@ class Search:
         if keys in self.seen:
             return self.seen[keys]
         current, evidence = list(members), self.evidence
-        kappa, spread = evidence.inflation(current, 1.0), 0.0
+        kappa, beyond = evidence.inflation(current, evidence.inflation(current, 1.0)), 0.0
         gains: list[float] = []
-        kappa = evidence.inflation(current, kappa)
         for _ in range(POLISHES):
             before = tuple(current), kappa
-            spread, gains = 0.0, []
+            beyond, gains = 0.0, []
             for place in range(len(current)):
                 rest = [*current[:place], *current[place + 1 :]]
                 key = evidence.terms[current[place][0]].key
@@ -166,14 +167,13 @@ class Search:
                 current[place] = number, int(added.best[number])
                 numbers = evidence.of_key[key]
                 more = float(np.log(np.sum(np.exp(added.log[numbers] - added.top[number]))))
-                spread += more
+                beyond += more + float(added.bound[number])
                 gains.append(float(added.top[number]) + more + evidence.terms[number].log_odds)
             kappa = evidence.inflation(current, kappa)
             if tuple(current) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
                 break
-        never = sum(NEVER for gain in gains if gain < 0.5 * NEVER)  # a member that no real part can be
         odds = sum(evidence.terms[k].log_odds for k, _ in current if evidence.terms[k].key not in self.forced)
-        weighed = Weighed(tuple(current), kappa, evidence.value(current, kappa) + spread + odds + never, tuple(gains))
+        weighed = Weighed(tuple(current), kappa, evidence.value(current, kappa) + beyond + odds, tuple(gains))
         self.seen[keys] = weighed
         return weighed
 

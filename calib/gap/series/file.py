@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,13 +21,14 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import CHECKED_sd
-from calib.gap.posterior.decide import reaching, sureness
+from calib.gap.posterior.constants import SETTLED_sd
+from calib.gap.posterior.decide import sureness_of_file
 from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.linear import SeriesFit, without_each
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member, members
 from calib.gap.signals.terms import Law
+from calib.settling import FITS_MOST, Settling
 from control.model.arm import Arm
 from control.model.description import arm_text, parse_arm
 from control.model.effects import EFFECTS
@@ -172,8 +173,7 @@ class _Laws:
                 continue
             needed[_name(member)] = self._missed(place)
             size, laws = self.whole[place], slice(0, place.stop - place.start)
-            spread = reaching(covariance[member.number][laws, laws], size - member.size[laws])
-            far = sureness(size, spread, CHECKED_sd)
+            far = sureness_of_file(size, member.size[laws], covariance[member.number][laws, laws])
             if _name(member) in names and ((member.term.is_positive and size[0] < member.term.least) or far < 1.0):
                 worst[_name(member)] = far if size[0] > 0.0 else -far
         if worst:
@@ -248,6 +248,45 @@ def _ways(member: Member) -> tuple[Array, Array]:
     if member.term.laws == 1 and size[0]:
         return np.zeros(len(size)), size[:, None] / size[0]
     return np.zeros(len(size)), np.eye(len(size))[:, : member.term.laws]
+
+
+def with_least_left(
+    left_by: Callable[[Mapping[EffectName, Law]], Array], laws: Mapping[EffectName, Law], sd: Mapping[EffectName, Array]
+) -> dict[EffectName, Law]:
+    """Laws of a file with those sizes of the ones in `sd` with which they leave least, `left_by` laws: (rows,).
+
+    A linearisation knows a law that bends around one size alone, and what a late command does jumps at whole samples. So what is
+    left within three standard deviations is looked at, before Gauss and Newton's steps lead on from the best of it.
+    """
+    ways = [(name, place) for name in sd for place in range(laws[name].form.counted or len(laws[name].values))]
+    small = np.array([dict(enumerate(step for _, step in laws[name].neighbours()))[place] for name, place in ways])
+
+    def with_sizes(x: Array) -> dict[EffectName, Law]:
+        model = dict(laws)
+        for (name, place), value in zip(ways, x.tolist(), strict=True):
+            values = (*model[name].values[:place], value, *model[name].values[place + 1 :])
+            model[name] = model[name].at(values).bounded()
+        return model
+
+    def left(x: Array) -> Array:
+        return left_by(with_sizes(x))
+
+    x = np.array([laws[name].values[place] for name, place in ways])
+    here, every = left(x), np.eye(len(x))
+    for k, (name, place) in enumerate(ways):
+        if place == 0 and not laws[name].form.is_straight:
+            near = [x + far * sd[name][0] * every[k] for far in (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)]
+            here, x = min(((left(size), size) for size in near), key=lambda one: float(one[0] @ one[0]))
+    settling = Settling(FITS_MOST)
+    while settling.goes_on:
+        slopes = np.array([(left(x + step) - here) / step.sum() for step in np.diag(small)]).T
+        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        step = -np.linalg.lstsq(slopes / size, here)[0] / size
+        tried = ((left(x + share * step), x + share * step) for share in (1.0, 0.5, 0.25))
+        better = next((one for one in tried if one[0] @ one[0] < here @ here), (here, x))
+        settling.takes(float(np.linalg.norm(better[0] - here)), SETTLED_sd)
+        here, x = better
+    return with_sizes(x)
 
 
 def in_best_forms(rows: ResidualRows, laws: Sequence[Law], deciding: Picked) -> list[Law]:

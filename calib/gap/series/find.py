@@ -15,7 +15,8 @@ from calib.gap.effects.links import FRAME
 from calib.gap.effects.motor import ORDERS
 from calib.gap.finding import GEOMETRY, DrawnLaw, EffectName, GapFinding, OpenQuestion, Unknown, as_totals, updated_arm
 from calib.gap.log import Log
-from calib.gap.posterior.constants import REMAINS
+from calib.gap.posterior.constants import GROWS, REMAINS
+from calib.gap.posterior.term import Key
 from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ResidualRows, RowTable, without_motion
 from calib.gap.residuals.scene import SeriesScene
@@ -28,13 +29,13 @@ from calib.gap.series.answer import (
     seen_by_sensors,
     what_is_left,
 )
-from calib.gap.series.file import in_best_forms, laws_of, read_back
+from calib.gap.series.file import in_best_forms, laws_of, read_back, with_least_left
 from calib.gap.series.iterations import fitted, unknown_rotors
 from calib.gap.series.linear import SeriesFit
 from calib.gap.series.outcome import doubts, drawn_laws, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
 from calib.gap.series.split import RowSplit, split
-from calib.gap.series.validation import members, validated
+from calib.gap.series.validation import members, validated, with_only
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import EvenRun, RunSet, prepare
@@ -76,10 +77,29 @@ def decided(
     progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.usable)
     fit, harming = validated(fit, parts.reporting)
-    verdict = judged(fit, parts, harming)
-    progress("done", 1.0)
     warnings += [*left_out(scene.usable, rows.table), *unknown_rotors(fit)]
-    return Examined(arm, log, rows, known, verdict, parts, _told(fit, verdict, arm), tuple(warnings))
+
+    def concluded(fit: SeriesFit, harming: Sequence[Key]) -> Examined:
+        verdict = judged(fit, parts, harming)
+        return Examined(arm, log, rows, known, verdict, parts, _told(fit, verdict, arm), tuple(warnings)).with_least_left()
+
+    examined = concluded(fit, harming)
+    while examined.verdict.laws and examined.growth > GROWS:
+        # no file that predicts worse than the arm as it was given: without the name that it is best without
+        fits = [(with_only(fit, [k for k in fit.numbers if k != number]), key) for number, key in _named(fit, examined)]
+        tried = [(concluded(rest, [*harming, key]), rest, key) for rest, key in fits]
+        examined, fit, key = min(tried, key=lambda one: one[0].growth)
+        harming = [*harming, key]
+    progress("done", 1.0)
+    return examined
+
+
+def _named(fit: SeriesFit, examined: Examined) -> Iterator[tuple[int, EffectName]]:
+    """Terms of the best set by number that got a name."""
+    for number in fit.numbers:
+        key = fit.linear.terms[number].key
+        if isinstance(key, EffectName) and key in examined.verdict.laws:
+            yield number, key
 
 
 def _told(fit: SeriesFit, verdict: SeriesVerdict, arm: Arm) -> Told:
@@ -134,26 +154,61 @@ class Examined:
     told: Told
     warnings: tuple[str, ...]
 
+    def laws_of(self, file: Arm) -> dict[EffectName, Law]:
+        """What a file says of these runs, by name, with what is in its kinematics."""
+        stated = laws_of(self.rows, file, self.parts.deciding)
+        return stated | {name: law for name, law in self.verdict.laws.items() if name.effect in IN_KINEMATICS}
+
+    @property
+    def file(self) -> Arm:
+        """The arm.toml of the log's own names, as whoever starts it reads it."""
+        return read_back(updated_arm(self.arm, as_totals(self.arm, self.finding)))
+
+    @property
+    def sensors(self) -> tuple[Law, ...]:
+        """What is taken off as the sensors' own."""
+        return tuple(term.law(size) for term, size in self.verdict.corrected if term.law is not None)
+
+    def left_by(self, laws: Mapping[EffectName, Law]) -> Array:
+        """What laws leave of all rows, (rows,)."""
+        return self.rows.residual([*laws.values(), *self.sensors]) + seen_by_sensors(self.verdict, len(self.rows.table.run))
+
+    def with_least_left(self) -> Examined:
+        """With the values that leave least of the rows that decide, where a law bends."""
+        laws, stated = self.verdict.laws, self.laws_of(self.file)
+        names = [name for name in laws if name in stated and name.effect not in IN_KINEMATICS]
+        if all(laws[name].form.is_straight for name in names):
+            return self
+        sd = {name: np.sqrt(np.diag(self.verdict.covariance[name])) for name in names}
+        settled = with_least_left(lambda model: self.left_by(model)[self.parts.deciding], stated, sd)
+        moved = {name: np.array(settled[name].values) - stated[name].values for name in names}
+        values = {name: law.at(tuple((law.values + moved[name]).tolist())) for name, law in laws.items() if name in moved}
+        covariance = {name: self.verdict.covariance[name] + np.outer(step, step) for name, step in moved.items()}
+        verdict = dataclasses.replace(self.verdict, laws={**laws, **values}, covariance={**self.verdict.covariance, **covariance})
+        return dataclasses.replace(self, verdict=verdict)
+
+    @property
+    def growth(self) -> float:
+        """Share by which the squared gap on the runs kept apart is larger with the file than with the given arm."""
+        given, with_file = (
+            gap(self.left_by(laws), self.rows.table, self.parts.reporting)
+            for laws in ({law.name: law for law in self.known}, self.laws_of(self.file))
+        )
+        return (with_file / given) ** 2 - 1.0 if given > 0.0 else 0.0
+
     def outcome(self, file: Arm | None = None) -> DynamicOutcome:
         """With the gap that a file leaves on the runs that were used for nothing else; by default that of the log's own names."""
         rows, verdict, recording = self.rows, self.verdict, self.rows.recording
         before, finding = rows.residual(self.known), self.finding
-        arm = read_back(updated_arm(self.arm, as_totals(self.arm, finding))) if file is None else file
-        stated = laws_of(rows, arm, self.parts.deciding)
-        stated |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
-        sensors = tuple(term.law(size) for term, size in verdict.corrected if term.law is not None)
-        sensed = seen_by_sensors(verdict, len(before))
-
-        def left_by(laws: Mapping[EffectName, Law]) -> Array:
-            return rows.residual([*laws.values(), *sensors]) + sensed
+        stated = self.laws_of(self.file if file is None else file)
 
         # the given laws, with one name after the other as the file has it
         laws, staged = {law.name: law for law in self.known}, []
         for effect in finding.effects:
             laws.pop(effect.name, None)
             laws |= {name: law for name, law in stated.items() if name == effect.name}
-            staged.append(dataclasses.replace(effect, gap_after=gap(left_by(laws), rows.table, self.parts.reporting)))
-        after, laws = left_by(stated), stated
+            staged.append(dataclasses.replace(effect, gap_after=gap(self.left_by(laws), rows.table, self.parts.reporting)))
+        after, laws = self.left_by(stated), stated
         moved = motion_gaps(rows.physics, self.known, tuple(laws.values()), self.parts.report_runs)
         finding = dataclasses.replace(
             finding,
@@ -172,7 +227,7 @@ class Examined:
             self.parts,
             tuple(run.name for run in recording.runs),
             rows.physics,
-            (*laws.values(), *sensors),
+            (*laws.values(), *self.sensors),
             drawn_laws(verdict.fit, [effect.name for effect in finding.effects]),
             self,
         )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from calib.arrays import Array
 from calib.gap.residuals.rows import RowTable
 from calib.gap.signals.recording import EvenRun, RunSet
 
@@ -15,6 +15,8 @@ Picked = npt.NDArray[np.bool_]
 MANY = 12  # groups of one load: more than one of them reports
 ONE_WAY = 0.7  # of a joint's travel: a run that ends so far from its begin went one way
 REPORT_SHARE = 0.34  # of the groups at most
+WHOLE = 2.0 / 3.0  # of a run that is the only one, which decides
+PIECES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,16 +37,27 @@ class RowSplit:
 def split(recording: RunSet, table: RowTable) -> RowSplit:
     """Report on a group of repeats of middling speed and on one run of each load and way that others have too.
 
-    So each load and each way of runs that go one way are among what decides, and among what reports.
+    So each load and each way of runs that go one way are among what decides, and among what reports. Of one run its last third
+    reports; what decides without repeating anything is held out in pieces of its time.
     """
     if len(recording.runs) == 1:
-        return _by_time(recording, table)
-    report = _report_groups(recording, {int(k) for k in np.unique(table.run)})
-    groups = [g for k, g in enumerate(recording.repeats) if k not in report]
-    reporting = np.isin(table.run, [r for k in report for r in recording.repeats[k]])
-    names = tuple(recording.runs[r].name for k in report for r in recording.repeats[k])
-    picked = tuple(np.asarray(np.isin(table.run, group)) for group in groups)
-    return RowSplit(picked, ~reporting, reporting, names)
+        report, reporting = [0], _gone(recording, table) >= WHOLE
+    else:
+        report = _report_groups(recording, {int(k) for k in np.unique(table.run)})
+        reporting = np.isin(table.run, [run for k in report for run in recording.repeats[k]])
+    names = tuple(recording.runs[run].name for k in report for run in recording.repeats[k])
+    groups = [np.isin(table.run, group) for k, group in enumerate(recording.repeats) if k not in report]
+    if len(groups) < 2:
+        gone = _gone(recording, table)
+        piece = np.minimum(PIECES * gone / gone[~reporting].max(), PIECES - 1).astype(int)
+        groups = [~reporting & (piece == k) for k in range(PIECES)]
+    return RowSplit(tuple(groups), ~reporting, np.asarray(reporting), names)
+
+
+def _gone(recording: RunSet, table: RowTable) -> Array:
+    """Share of its run's time that is over at each row."""
+    length_s = np.array([max(run.t_s[-1] - run.t_s[0], 1e-9) for run in recording.runs])
+    return np.asarray(table.t_s / length_s[table.run])
 
 
 def _report_groups(recording: RunSet, with_rows: set[int]) -> list[int]:
@@ -73,13 +86,3 @@ def _kind(run: EvenRun) -> tuple[float, ...]:
     gone, travel = run.q[-1] - run.q[0], np.ptp(run.q, axis=0)
     way = np.sign(gone) * (np.abs(gone) > ONE_WAY * np.maximum(travel, 1e-9))
     return round(float(np.median(run.payload_kg)), 4), *(way + 0.0).tolist()
-
-
-def _by_time(recording: RunSet, table: RowTable) -> RowSplit:
-    """One run: its last third reports, the rest decides in four pieces."""
-    run = recording.runs[0]
-    share = table.t_s / max(run.t_s[-1] - run.t_s[0], 1e-9)
-    reporting = np.asarray(share >= 2.0 / 3.0)
-    edges = np.linspace(0.0, 2.0 / 3.0, 5)
-    pieces = tuple(np.asarray((share >= a) & (share < b)) for a, b in itertools.pairwise(edges))
-    return RowSplit(pieces, ~reporting, reporting, (run.name,))

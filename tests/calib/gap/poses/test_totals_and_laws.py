@@ -225,3 +225,11 @@ def test_a_refitted_geometry_pays_only_beyond_the_noise_that_it_leaves() -> None
     assert pays(1.2, 1.0, 300, 20)
     assert not pays(2.2, 2.0, 300, 20)
     assert not pays(1.1, 1.0, 300, 20)
+
+
+def test_an_ambiguous_set_of_which_no_member_would_stand_is_left_without_a_name() -> None:
+    """A loose tool looks like an eccentricity or a scale of joint 3: the file says of each that it may as well be none."""
+    hidden = rough_case("foreign", 990015)
+    found = find(hidden.arm, hidden.points).finding
+    assert found.ambiguous == ()
+    assert any("encoder_scale on joint 3 may as well be none, whichever it is" in one.where for one in found.remainder)

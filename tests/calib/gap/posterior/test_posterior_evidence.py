@@ -10,7 +10,7 @@ from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import CHECKED_sd
-from calib.gap.posterior.decide import decide, included, reaching, sureness
+from calib.gap.posterior.decide import decide, included, sureness, sureness_of_file
 from calib.gap.posterior.evidence import Evidence, Gram, Weighed
 from calib.gap.posterior.search import MergingSearch, Search
 from calib.gap.posterior.term import Block, Term
@@ -67,6 +67,18 @@ def test_a_play_below_nought_is_never_in_a_set() -> None:
     evidence = _evidence(terms, columns, y)
     best = Search(evidence).run()[0]
     assert EffectName("backlash", 1) not in {terms[k].key for k, _ in best.members}
+
+
+def test_a_friction_that_drives_is_in_no_set_although_it_explains_more_than_anything_else() -> None:
+    """Beside another friction it came in as it should be, and turned below nought once a third term stood beside the two."""
+    columns, y = _world(3, 6.0)
+    y -= 4.0 * columns[:, 1]
+    terms = [_term(EffectName(f"{law}_friction", 1), is_positive=True) for law in ("coulomb", "viscous")]
+    search = Search(_evidence([*terms, _term(Block(1, "speed")), _term(Block(2, "q"))], columns, y))
+    both, one = search.of([term.key for term in terms]), search.of([terms[0].key])
+    evidence = search.evidence
+    assert evidence.value(both.members, both.kappa) > evidence.value(one.members, one.kappa) + 100.0
+    assert both.log < one.log
 
 
 def test_two_terms_that_are_the_same_to_the_data_are_ambiguous_and_neither_is_named() -> None:
@@ -219,11 +231,14 @@ def test_how_sure_an_effect_is_does_not_depend_on_its_axes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("of_posterior", "is_there"), [(4.0, True), (2.1, True), (1.9, True), (0.1, True), (-0.1, False), (9.0, False)]
+    ("of_posterior", "is_there"), [(4.0, True), (2.1, True), (0.1, True), (-0.1, False), (9.0, True), (4.4, True)]
 )
-def test_a_files_interval_reaches_the_posteriors_value(of_posterior: float, is_there: bool) -> None:
-    """Of a value of 4.4 in the file: nought is in it where the posterior's lies further away than nought."""
-    value = np.array([4.4])
-    covariance = reaching(np.array([[1e-6]]), value - of_posterior)
-    assert CHECKED_sd * np.sqrt(covariance[0, 0]) == pytest.approx(abs(4.4 - of_posterior), rel=1e-3)
-    assert (sureness(value, covariance, CHECKED_sd) > 1.0) == is_there
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_files_interval_reaches_the_posteriors_value_on_its_side_alone(
+    of_posterior: float, is_there: bool, sign: float
+) -> None:
+    """Of a value of 4.4 in the file: nought is in it where it lies between the two, no sooner where the posterior has more."""
+    file, posterior, covariance = np.array([sign * 4.4]), np.array([sign * of_posterior]), np.array([[1e-6]])
+    assert (sureness_of_file(file, posterior, covariance) > 1.0) == is_there
+    beyond = sureness_of_file(file, np.array([sign * 9.0]), covariance)
+    assert beyond == pytest.approx(sureness(file, covariance, CHECKED_sd))

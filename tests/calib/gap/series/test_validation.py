@@ -13,6 +13,7 @@ from calib.gap.effects.catalogue import known_laws
 from calib.gap.finding import EffectName
 from calib.gap.log import Log, LoggedRun
 from calib.gap.residuals.rows import ResidualRows
+from calib.gap.series import answer, find
 from calib.gap.series.find import DynamicOutcome, examine
 from calib.gap.series.split import split
 from calib.gap.signals.physics import Physics
@@ -65,3 +66,25 @@ def test_what_one_of_a_set_explains_is_not_said_to_follow_nothing() -> None:
     finding = examine(ARM, one_way, candidates=("load_friction", "coulomb_friction")).finding
     assert [set(names) for names in finding.ambiguous] == [{LOAD_2, EffectName("coulomb_friction", 2)}]
     assert finding.unknown is None
+
+
+def test_no_file_predicts_worse_than_the_given_arm_whatever_the_fit_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What bends is no straight line: what a fit says of the runs kept apart need not be what the file does to them."""
+    monkeypatch.setattr(find, "validated", lambda fit, reporting: (fit, []))
+    monkeypatch.setattr(answer, "_against", lambda fit, member, reporting: None)
+    monkeypatch.setattr(answer, "dominant_names", lambda fit, names, corrected, reporting: list(names))
+    outcome = contradicted()
+    assert outcome.finding.effects == ()
+    assert outcome.finding.gap_after == outcome.finding.gap_before
+    assert f"{LOAD_2} improves the fitted runs, but not the held-out ones: ignored" in outcome.warnings
+
+
+def test_what_decides_without_repeats_is_held_out_in_pieces_of_its_time() -> None:
+    """Of two runs one reports; a name must help to predict a part of the other that it was not fitted to."""
+    whole = log_of(ARM)
+    recording = prepare(ARM, Log((whole.runs[0], whole.runs[-1])))
+    parts = split(recording, ResidualRows(Physics(ARM, recording), known_laws(ARM)).table)
+    assert len(parts.report_runs) == 1
+    assert len(parts.groups) == 4
+    assert np.array_equal(np.sum(parts.groups, axis=0), parts.deciding.astype(int))
+    assert all(group.any() for group in parts.groups)

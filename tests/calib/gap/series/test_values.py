@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,8 @@ import pytest
 from benchmarks.gap.dynamic.cases import Asked, made
 from benchmarks.gap.dynamic.score import arm_of
 from benchmarks.gap.dynamic.score import log_of as log_of_case
-from calib.gap.effects.catalogue import known_laws, parameters, series_terms
+from calib.arrays import Array
+from calib.gap.effects.catalogue import known_laws, parameters, series_of, series_terms
 from calib.gap.effects.gear import SPRING
 from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import Weighed
@@ -20,7 +22,7 @@ from calib.gap.residuals.rows import ResidualRows
 from calib.gap.residuals.scene import Curve, OperatingPoint, SeriesScene, SeriesTerm
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.answer import covariance_of_values
-from calib.gap.series.file import identified, jackknife_variance
+from calib.gap.series.file import identified, jackknife_variance, with_least_left
 from calib.gap.series.find import examine, find
 from calib.gap.series.linear import SeriesLinear, refitted, weighed, without_each
 from calib.gap.series.split import split
@@ -57,12 +59,9 @@ def test_a_value_at_the_end_of_its_range_is_known_no_better_for_that() -> None:
     assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(0.2, 5.0) * UNIT_rad_Nm)
 
 
-@pytest.mark.parametrize(("of_posterior", "is_dropped"), [(1.2, False), (4.0, True), (0.3, False)])
-def test_a_name_whose_written_interval_holds_nought_is_none(of_posterior: float, is_dropped: bool) -> None:
-    """All values are sure by themselves. The file's interval reaches the posterior's: 1 +- 3 where they are 1 and 4.
-
-    Where the file has more than the posterior, nought is beyond both.
-    """
+@pytest.mark.parametrize(("of_posterior", "is_dropped"), [(1.2, False), (4.0, False), (0.3, False), (-0.3, True)])
+def test_a_name_whose_interval_holds_nought_is_none(of_posterior: float, is_dropped: bool) -> None:
+    """All values are sure by themselves. The file has 1; its interval goes from there to the posterior's value."""
     belt = EffectName("belt_coupling", 3)
     draw = np.random.default_rng(5)
     columns = draw.standard_normal((400, 1))
@@ -74,6 +73,20 @@ def test_a_name_whose_written_interval_holds_nought_is_none(of_posterior: float,
     parts: Any = SimpleNamespace(groups=groups, deciding=np.ones(400, dtype=bool))
     member = Member(0, term, np.array([of_posterior]), np.diag([0.1**2]), np.zeros((1, 1)))
     assert (belt in identified(fit, [member], parts).dropped) == is_dropped
+
+
+def test_a_law_that_jumps_is_written_where_it_leaves_least() -> None:
+    """What is left falls from the posterior's 1.9 towards nought, and jumps to nothing at 2: a command a whole sample late."""
+    late, along = EffectName("command_delay"), np.linspace(-1.0, 1.0, 50)
+    series, spread = series_of(late.effect), np.array([0.1])
+    assert series is not None
+
+    def left_by(laws: Mapping[EffectName, Law]) -> Array:
+        (delay,) = laws[late].values
+        return along * (5.0 + delay if delay < 2.0 else 100.0 * (delay - 2.0) ** 2)
+
+    (found,) = with_least_left(left_by, {late: Law(late, series.form, (1.9,))}, {late: spread})[late].values
+    assert found == pytest.approx(2.0, abs=0.02)
 
 
 @pytest.fixture(scope="module")
