@@ -9,7 +9,7 @@ OPERATING = (
         "serve",
         "run the arm: connect its boards and serve the local socket until stopped",
         (ARM, CELL, *LINKS, RATE, SOCKET, option("--log DIR", "folder of the recordings (default: log)", default="log")),
-        ("Drives stay off until `armwright enable`. Ctrl-C stops the arm, holds it, lowers it on shorted windings and exits."),
+        "Drives stay off until `armwright enable`. Ctrl-C stops the arm, switches it off as `armwright off` does, and exits.",
     ),
     CommandSpec(
         "check", "find the boards in arm.toml and compare their identities; nothing moves", (ARM, *LINKS, JSON), module="serve"
@@ -195,14 +195,15 @@ OPERATING = (
     CommandSpec("acknowledge", "acknowledge faults", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "off",
-        "stop, hold, lower on shorted windings, drives off",
+        "stop, hold, let the arm sink on shorted windings, drives off",
         (
             ARM,
             SOCKET,
             option("--quit", "also end the runtime"),
             option("--yes", "do not ask: somebody holds an arm that its boards let go"),
         ),
-        "An arm that its boards held when the runtime connected falls when they let go: asks before.",
+        "Smart servos, ODrives and CiA 402 drives do not short them: the arm drops unless somebody holds it (docs/boards.md)."
+        " One that its boards held when the runtime connected falls when they let go: asks before.",
         module="requests",
     ),
 )

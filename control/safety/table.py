@@ -7,8 +7,8 @@ from typing import Final
 class Mode(Enum):
     """Mode of the arm; the value describes the drives."""
 
-    OFF = "drives off: the boards short the windings, so a loaded arm sinks slowly and does not drop"
-    BRAKED = "0 V: shorted windings brake; no control"
+    OFF = "drives off: boards that short the windings let a loaded arm sink slowly; others free it, and it drops (docs/boards.md)"
+    BRAKED = "no control: shorted windings brake; boards that cannot short them hold"
     HOLDING = "position control at a constant set-point"
     MOVING = "position control along a checked motion"
     HOMING = "position control; searches switches and index pulses"
