@@ -136,11 +136,24 @@ def names_of(row: str) -> Iterator[str]:
             yield from [f"{fault}-{place}" for place in situations] if situations else [fault]
 
 
+def tables() -> list[list[str]]:
+    """The tables of the page, as lines."""
+    found = re.findall(r"^```\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    return [table.splitlines() for table in found]
+
+
 def test_the_page_lists_every_drill_and_no_other() -> None:
-    tables = re.findall(r"^```\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
-    rows = [row for table in tables for row in table.splitlines()[1:]]
-    named = [name for row in rows for name in names_of(row)]
+    named = [name for _, *rows in tables() for row in rows for name in names_of(row)]
     assert sorted(named) == sorted(drills())
+
+
+@pytest.mark.parametrize("row", [row for head, *rows in tables() if " fault" in head for row in rows], ids=lambda row: row[:25])
+def test_the_page_has_for_each_drill_faults_that_it_expects(row: str) -> None:
+    codes = {code for name in names_of(row) for code in drills()[name].codes}
+    known = {code for drill in drills().values() for code in drill.codes}
+    said = known.intersection(re.findall(r"[a-z_]+", row))
+    assert said <= codes
+    assert said or not codes
 
 
 def test_drills_run_on_a_mock_only(capsys: pytest.CaptureFixture[str]) -> None:
