@@ -17,7 +17,6 @@ from control.model.board_kinds import KINDS
 from control.model.cell import CellFile
 from control.model.effects import EFFECTS, parameter_names
 from control.model.reference import sections
-from control.recording.record import END_FIELDS, Layout
 from control.tables import documented
 from firmware_iface.installation import PACKAGES
 from hil_mocks.scenario import Scenario
@@ -295,13 +294,6 @@ def test_the_readme_fits_two_screens() -> None:
     assert [line for line in lines if len(line) > 140] == []
 
 
-@functools.cache
-def words_of_the_formats() -> frozenset[str]:
-    """What stands between backticks in docs/formats.md, without braces' and joints' numbers."""
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
-    return frozenset(word for span in CODE_SPAN.findall(text) for word in re.split(r"[\s,=]+", span))
-
-
 @pytest.mark.parametrize("name", EFFECTS)
 def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
@@ -320,8 +312,3 @@ def test_every_key_and_table_of_a_toml_file_is_explained(file: type) -> None:
     found = sections(file)
     assert [section.header for section in found if not section.about] == []
     assert [(section.header, key.name) for section in found for key in section.keys if not key.text] == []
-
-
-def test_every_column_of_a_recording_is_in_the_formats() -> None:
-    layout = Layout.of(1, has_joint_side=True, more=END_FIELDS)
-    assert sorted(set(layout.names) - words_of_the_formats()) == []

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,7 @@ LEROBOT, PYTHON = "lerobot", "python"
 def run(args: argparse.Namespace) -> int:
     """Print a summary of the file, or the keys that it may have; write it in another format, or write one from another format."""
     if args.command == "arm" and args.keys is not None:
-        from calib.tolerances.making import TolerancesFile
-        from control.model.cell import CellFile
-        from control.model.reference import reference_text
-        from hil_mocks.scenario import Scenario
-
-        sys.stdout.write(reference_text(args.keys, {"cell": CellFile, "scenario": Scenario, "tolerances": TolerancesFile}))
-        return 0
+        return _keys(args.keys)
     if args.command == "arm" and (args.from_urdf or args.from_mjcf):
         return _imported(args)
     arm = load_arm(args.arm)
@@ -42,6 +37,26 @@ def run(args: argparse.Namespace) -> int:
     figures, absent = sheet(arm), missing(arm)
     content = {"figures": figures, "warnings": list(warnings(figures)), "missing": absent}
     answer(args, summary(arm) | content, "\n".join([described(arm), *sheet_lines(arm, figures, absent)]))
+    return 0
+
+
+def _keys(name: str) -> int:
+    """Print the keys of an arm.toml, or of another file."""
+    from calib.tolerances.making import TolerancesFile
+    from control.model.cell import CellFile
+    from control.model.reference import FileSection, Key, reference_text, sections
+    from control.recording.mcap_schemas import TOPICS
+    from hil_mocks.scenario import Scenario
+
+    def columns() -> list[FileSection]:
+        return [
+            FileSection(topic, "", tuple(Key(field.column.format(1), field.unit, "", field.meaning) for field in fields))
+            for topic, fields in TOPICS.items()
+        ]
+
+    files = {"cell": CellFile, "scenario": Scenario, "tolerances": TolerancesFile}
+    others = {name: partial(sections, file) for name, file in files.items()}
+    sys.stdout.write(reference_text(name, {**others, "armlog": columns}))
     return 0
 
 

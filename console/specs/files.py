@@ -72,8 +72,8 @@ FILES = (
             ),
             option(
                 "--keys SECTION",
-                "print every key of an arm.toml with its unit and default instead, or those of a section such as drive.home; of a"
-                " cell.toml: cell; of a mock's scenario: scenario; of a tolerances.toml: tolerances",
+                "print every key of an arm.toml with its unit and default instead, or those of a section such as drive.home; of"
+                " other files: cell, scenario (of a mock), tolerances, armlog (the columns of a recording)",
                 nargs="?",
                 const="",
             ),

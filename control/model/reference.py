@@ -9,7 +9,7 @@ import math
 import re
 import textwrap
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -80,16 +80,16 @@ def texts_of(kind: type[Any]) -> dict[str, str]:
     return {key: _notes(hints[field.name])[0] for key, field in keys_of(kind).items()}
 
 
-def reference_text(name: str, others: Mapping[str, type[Any]]) -> str:
-    """Every section of an arm.toml, only section `name` ("drive.home"), or every one of the file `name` of `others`. ArmError."""
+def reference_text(name: str, others: Mapping[str, Callable[[], Sequence[FileSection]]]) -> str:
+    """Every section of an arm.toml, only section `name` ("drive.home"), or those of the other file `name`. ArmError."""
     named = {section.header.strip("[]"): section for section in sections()}
     known = [*filter(None, named), *others]
     if name and name not in known:
         near = get_close_matches(name, known, n=1, cutoff=0.5)
         meant = f" (did you mean {near[0]}?)" if near else ""
         raise ArmError(f'--keys: expected one of {", ".join(known)}; got "{name}"{meant}')
-    shown = sections(others[name]) if name in others else [named[name]] if name else [*named.values()]
-    parts = ["\n".join((s.header or "[top level]", s.about, *_rows(s.keys))) + "\n" for s in shown]
+    shown = others[name]() if name in others else [named[name]] if name else [*named.values()]
+    parts = ["\n".join((s.header or "[top level]", *filter(None, [s.about]), *_rows(s.keys))) + "\n" for s in shown]
     head = HEAD.format(others=", ".join(f"`armwright arm --keys {other}`" for other in others))
     return "\n".join(parts if name else (head, *parts))
 

@@ -1,8 +1,9 @@
 """JSON schemas of an exported MCAP file: our own columns with unit and meaning, and Foxglove's well-known messages.
 
 Our own topics use the column names of the recording, `q1_rad` and not `position[0]`, so that every plot shows the unit
-and a single missing value can be omitted. Foxglove recognises its own messages by the schemas' titles
-(docs.foxglove.dev, SDK schemas); of these only the fields that are written here are described.
+and a single missing value, a NaN of the recording, can be omitted. `armwright arm --keys armlog` prints them. Foxglove
+recognises its own messages by the schemas' titles (docs.foxglove.dev, SDK schemas); of these only the fields that are written
+here are described.
 """
 
 from __future__ import annotations
@@ -37,6 +38,12 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("speed{}_rad_s", "rad/s", "speed by its encoder and the board's clock"),
         Field("count{}", "1", "encoder count"),
         Field("joint{}_rad", "rad", "angle of the joint by the model; absent: same as by its encoder"),
+        Field(
+            "lead{}_rad",
+            "rad",
+            "how far the motor is ahead of the joint, where both have an encoder, from 0 when the drives came on; absent: no new"
+            " pair of counts",
+        ),
     ),
     SET_POINT: (
         Field("q{}_set_rad", "rad", "set-point of the angle"),
@@ -53,18 +60,21 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("flags{}", "1", "flags of the encoder channel (docs/encoder_board.md)"),
         Field("counted{}_s", "s", "when the count was latched, by the clock of its encoder board"),
     ),
-    CAMERA: tuple(Field(f"{axis}_m", "m", f"{axis} of the tip in the base frame, measured by the camera") for axis in "xyz"),
+    CAMERA: tuple(
+        Field(f"{axis}_m", "m", f"{axis} of the tip in the base frame, measured by the camera; absent: no new frame")
+        for axis in "xyz"
+    ),
     LOOP: (
         Field("t_s", "s", "clock of the loop"),
         Field("cycle", "1", "number of the cycle"),
         Field("run", "1", "number of the motion; 0 before the first"),
         Field("mode", "1", "number of the mode, by control.safety.table.Mode; its name is in mode_name"),
         Field("missed", "1", "deadlines missed so far"),
-        Field("late_s", "s", "how late the cycle began"),
+        Field("late_s", "s", "how late the cycle began, its wait for the encoder's report included"),
         Field("busy_s", "s", "how long the cycle took"),
-        Field("page_faults", "1", "page faults of the loop in the cycle"),
+        Field("page_faults", "1", "page faults of the loop in the cycle; 0 on the stepped clock, as the next"),
         Field("switches", "1", "how often another program took the loop's processor in the cycle"),
-        Field("age_s", "s", "age of the oldest counts when the cycle began"),
+        Field("age_s", "s", "age of the oldest counts when the cycle began, beyond that of a prompt report"),
         Field("payload_kg", "kg", "mass at the tip, as stated"),
     ),
     END: (
@@ -72,7 +82,7 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("gripper_m", "m", "opening of the gripper; absent: not known"),
         Field("gripper_goal_m", "m", "opening that was asked for; absent: none, or its end"),
         Field("gripper_A", "A", "current of the gripper's motor, opening positive"),
-        Field("gripper_state", "1", "number of the gripper's state, by control.end_effector.gripper.State"),
+        Field("gripper_state", "1", "number of the gripper's state, by control.end_effector.gripper.GripState"),
         Field("digital", "1", "levels of the named pins as bits, in the order of the arm.toml"),
     ),
 }

@@ -17,6 +17,7 @@ from console.options import CommandSpec, runner
 from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.model.description import load_arm, save_arm
 from control.model.reference import sections
+from control.recording.record import END_FIELDS, JOINT_FIELDS, JOINT_SIDE_FIELDS, LEAD_FIELD, SCALAR_FIELDS
 from control.safety.table import Mode
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
@@ -349,6 +350,13 @@ def test_arm_keys_prints_the_keys_of_a_scenario_as_its_reader_has_them(capsys: p
     keys = (" tick_s    > 0 (0.001) ", "[[fault]]", "*kind ", " digital_pins     0 to 8 (8) ", ' firmware  "python", "c" ')
     assert [key for key in keys if key not in shown] == []
     assert " path " not in shown, "the reader sets it, and refuses it in a file"
+
+
+def test_arm_keys_prints_the_columns_of_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["arm", "--keys", "armlog"]) == 0
+    printed = {line.split()[0] for line in capsys.readouterr().out.splitlines() if line}
+    columns = [column.format(1) for column, _ in (*SCALAR_FIELDS, *JOINT_FIELDS, *JOINT_SIDE_FIELDS, *END_FIELDS, LEAD_FIELD)]
+    assert set(columns) <= printed
 
 
 def test_arm_keys_has_a_spread_for_a_value_and_not_for_a_table(capsys: pytest.CaptureFixture[str]) -> None:

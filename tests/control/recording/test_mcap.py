@@ -20,7 +20,7 @@ from control.recording.export import to_mcap
 from control.recording.mcap_file import CycleChanges
 from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
 from control.recording.reading import Recording, recorded_arm
-from control.recording.record import END_FIELDS, Layout
+from control.recording.record import END_FIELDS, LEAD_FIELD, Layout
 from tests.recordings import MODES, ERROR_rad, PERIOD_s, STARTED_s, write_recording
 
 RIGHT = load_arm("right")
@@ -281,7 +281,8 @@ def test_the_arm_is_that_of_the_header_then_of_its_file_then_of_its_name(tmp_pat
 
 def test_every_column_of_a_recording_is_in_its_topic() -> None:
     carried = [name for topic in TOPICS for name in columns_of(topic, 3)]
-    assert sorted(carried) == sorted(Layout.of(3, has_joint_side=True, more=END_FIELDS).names)
+    of_leads = [(LEAD_FIELD[0].format(joint), LEAD_FIELD[1]) for joint in (1, 2, 3)]
+    assert sorted(carried) == sorted(Layout.of(3, has_joint_side=True, more=(*END_FIELDS, *of_leads)).names)
 
 
 def test_foxglove_knows_its_messages_by_their_titles() -> None:
