@@ -1,87 +1,125 @@
 """Injected faults on lines, boards and wiring, by scenario or operator. Seeded; several may be active.
 
-Kinds and their `value` are listed in docs/mock_robot.md. Every fault has a start time and may have an end time;
-faults on frames act on each frame with their probability.
+`armwright arm --keys scenario` prints the kinds. Every fault has a start time and may have an end time; faults on frames act on
+each frame with their probability.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from dataclasses import dataclass
 from string import digits
+from typing import Final
 
+from control.model.reference import FileSection, Key
 from hil_mocks.errors import ScenarioError
 from hil_mocks.scenario import FaultTable
 
 _SLACK_S = 1e-9  # rounding of sums of ticks
 
-ON_FRAMES = {"drop_frames", "corrupt_frames", "duplicate_frames", "delay_frames", "replay_frames", "silent"}
-_IDENTITY = {"wrong_identity", "wrong_protocol", "wrong_counts", "board_reset"}
-_BUILT_INTO_ENCODER = {"wrong_counts", "swapped_channels", "reversed_encoder", "wrong_encoder"}
-_BUILT_INTO_MOTOR = {"wrong_counts", "swapped_motors", "wrong_gear"}
-OF_ENCODER = (
-    ON_FRAMES
-    | _IDENTITY
-    | _BUILT_INTO_ENCODER
-    | {"stuck_encoder", "lost_wire", "quadrature_error", "loose_encoder"}
-    | {"frozen_clock", "drifting_encoder", "slipped_encoder", "jumping_encoder", "backwards_encoder"}
-)
-OF_MOTOR = (
-    ON_FRAMES
-    | _IDENTITY
-    | _BUILT_INTO_MOTOR
-    | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
-    | {"dead_motor", "stuck_joint", "says_current", "says_supply", "says_temperature"}
-    | {"switched_off", "switched_on", "stuck_encoder"}
-)
-OF_BOUGHT = ON_FRAMES | {
-    "board_reset",
-    "e_stop",
-    "over_current",
-    "over_temperature",
-    "supply",
-    "swapped_polarity",
-    "dead_motor",
-    "stuck_joint",
-    "stuck_encoder",
-    "switched_off",
-    "switched_on",
+
+@dataclass(frozen=True, slots=True)
+class FaultKind:
+    """A kind of fault: which boards can have it, what it does, and what its `value` is."""
+
+    boards: str  # words of BOARDS
+    text: str
+    value: str = ""  # what it is; "": it has none
+    is_value_needed: bool = True
+    is_on_frames: bool = False
+    is_built_in: bool = False  # before power-up
+
+
+BOARDS: Final = {
+    "encoder": "of an encoder board, or of its `channel`",
+    "motor": "of a motor board",
+    "camera": "of the camera",
+    "bought": "of a bought board",
+    "roboclaw": "of a RoboClaw, or of its `channel`, besides",
 }
-OF_CAMERA = (ON_FRAMES - {"delay_frames", "replay_frames"}) | {"exchanged_bodies"}  # its latency is a separate key
-BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
-_NEED_VALUE = {
-    "delay_frames",
-    "replay_frames",
-    "wrong_identity",
-    "wrong_protocol",
-    "wrong_counts",
-    "swapped_channels",
-    "swapped_motors",
-    "wrong_encoder",
-    "wrong_gear",
-    "supply",
-    "drifting_encoder",
-    "slipped_encoder",
-    "jumping_encoder",
-    "says_current",
-    "says_supply",
-    "says_temperature",
+_ANY = "encoder motor bought roboclaw"
+KINDS: Final = {
+    "drop_frames": FaultKind(f"{_ANY} camera", "a frame to the host is lost", is_on_frames=True),
+    "corrupt_frames": FaultKind(f"{_ANY} camera", "one bit of it is wrong", is_on_frames=True),
+    "duplicate_frames": FaultKind(f"{_ANY} camera", "it comes twice", is_on_frames=True),
+    "delay_frames": FaultKind(_ANY, "it comes later", "s", is_on_frames=True),
+    "replay_frames": FaultKind(_ANY, "it comes again", "s later", is_on_frames=True),
+    "silent": FaultKind(f"{_ANY} camera", "nothing is sent, and nothing heard", is_on_frames=True),
+    "board_reset": FaultKind(_ANY, "it restarts, once"),
+    "wrong_identity": FaultKind("encoder motor", "another serial number", "the number"),
+    "wrong_protocol": FaultKind("encoder motor", "another protocol version", "the version"),
+    "wrong_counts": FaultKind(
+        "encoder motor",
+        "it reports other counts, and of an encoder board the channel gives them",
+        "counts a turn",
+        is_built_in=True,
+    ),
+    "stuck_encoder": FaultKind("encoder motor roboclaw", "the count that it reads stands"),
+    "lost_wire": FaultKind("encoder", "a line of the encoder is broken"),
+    "quadrature_error": FaultKind("encoder", "counts are lost or gained, once", "counts (1)", is_value_needed=False),
+    "swapped_channels": FaultKind("encoder", "two plugs are changed over", "the other channel", is_built_in=True),
+    "reversed_encoder": FaultKind("encoder", "it counts down for up", is_built_in=True),
+    "wrong_encoder": FaultKind("encoder", "another encoder than its boards report", "counts a turn", is_built_in=True),
+    "drifting_encoder": FaultKind("encoder", "the count drifts", "counts a second"),
+    "slipped_encoder": FaultKind("encoder", "it slips on its shaft, with its index, once", "counts"),
+    "jumping_encoder": FaultKind("encoder", "its counter jumps unseen, once; the index stays", "counts"),
+    "backwards_encoder": FaultKind("encoder", "it counts the wrong way"),
+    "loose_encoder": FaultKind("encoder", "it slips in proportion to motion, seeded", "share lost (0.05)", is_value_needed=False),
+    "frozen_clock": FaultKind("encoder", "of the whole board: reports keep one time stamp"),
+    "switched_off": FaultKind(
+        "motor bought roboclaw", "another program, unheard by the host, takes the drive out of operation, once"
+    ),
+    "switched_on": FaultKind("motor bought roboclaw", "the same, into operation to hold; with a duty, where a board cannot hold"),
+    "swapped_motors": FaultKind("motor", "its node and another's are changed over", "the other node", is_built_in=True),
+    "wrong_gear": FaultKind("motor", "another gear than arm.toml has", "motor turns a joint turn", is_built_in=True),
+    "dead_motor": FaultKind("motor bought roboclaw", "no current flows"),
+    "stuck_joint": FaultKind("motor bought roboclaw", "the joint is jammed"),
+    "swapped_polarity": FaultKind("motor bought roboclaw", "a positive voltage turns it backwards"),
+    "over_current": FaultKind("motor bought roboclaw", "a cause of this error, as long as the fault lasts"),
+    "over_temperature": FaultKind("motor bought roboclaw", "the same"),
+    "encoder_fault": FaultKind("motor", "the same"),
+    "supply": FaultKind("motor bought roboclaw", "another supply", "V"),
+    "says_current": FaultKind("motor", "replies have this current", "A"),
+    "says_supply": FaultKind("motor", "replies have this supply", "V"),
+    "says_temperature": FaultKind("motor", "replies have this temperature", "degC"),
+    "e_stop": FaultKind("roboclaw", "its E-stop input is active"),
+    "exchanged_bodies": FaultKind("camera", "two bodies of a motion capture system are taken for one another"),
 }
+
+
+def kinds_of(board: str) -> frozenset[str]:
+    """What a board of this sort, a word of BOARDS, can have."""
+    return frozenset(name for name, kind in KINDS.items() if board in kind.boards.split())
+
+
+def fault_sections() -> list[FileSection]:
+    """The kinds as tables, for `armwright arm --keys`."""
+    shown: dict[str, list[Key]] = {board: [] for board in BOARDS}
+    for name, kind in KINDS.items():
+        words = kind.value and f"value: {kind.value}"
+        for board in kind.boards.split():
+            if board != "roboclaw" or "bought" not in kind.boards:
+                shown[board].append(Key(name, words, "", f"{'built in: ' if kind.is_built_in else ''}{kind.text}"))
+    return [FileSection("[[fault]] kind", of, tuple(shown[board])) for board, of in BOARDS.items()]
+
+
 Frames = list[tuple[float, bytes]]  # (arrival time at the host, frame)
 
 
 def check_fault(fault: FaultTable, boards: Sequence[str], where: str) -> None:
     """Raise ScenarioError unless the board exists and can have the fault."""
-    known = {"encoder": OF_ENCODER, "motor": OF_MOTOR, "camera": OF_CAMERA, "roboclaw": OF_BOUGHT}
     place = f'{where}: fault "{fault.kind}"'
     if fault.board not in boards:
         raise ScenarioError(f'{place}: no board "{fault.board}"; there are {", ".join(boards)}.')
-    kinds = known.get(fault.board.rstrip(digits), OF_BOUGHT - {"e_stop", "stuck_encoder"})
+    sort = fault.board.rstrip(digits)
+    kinds = kinds_of(sort if sort in BOARDS else "bought")
     if fault.kind not in kinds:
         raise ScenarioError(f"{place}: expected one of {', '.join(sorted(kinds))}.")
-    if fault.kind in BUILT_IN and fault.at_s > 0.0:
+    kind = KINDS[fault.kind]
+    if kind.is_built_in and fault.at_s > 0.0:
         raise ScenarioError(f"{place}: is wired in before power-up; at_s must be 0, got {fault.at_s:g}.")
-    if fault.kind in _NEED_VALUE and fault.value is None:
+    if kind.value and kind.is_value_needed and fault.value is None:
         raise ScenarioError(f'{place}: needs "value".')
     if fault.until_s is not None and fault.until_s <= fault.at_s:
         raise ScenarioError(f"{place}: until_s = {fault.until_s:g} is not after at_s = {fault.at_s:g}.")
@@ -118,7 +156,7 @@ class FaultPlan:
 
     def on_frames(self, board: str) -> tuple[FaultTable, ...]:
         """The active faults of a board that act on its frames."""
-        return tuple(f for f in self.active if f.board == board and f.kind in ON_FRAMES)
+        return tuple(f for f in self.active if f.board == board and KINDS[f.kind].is_on_frames)
 
 
 class FaultyFrames:

@@ -121,7 +121,7 @@ class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FaultTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A fault of docs/mock_robot.md."""
+    """A fault on a line, a board or the wiring, of a kind below."""
 
     kind: Annotated[str, "its name"]
     board: Annotated[str, "encoder, encoder2 ...; motor1 ... by node; camera; roboclaw1 ..., drive11 ..., servo1 ..."]

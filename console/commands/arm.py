@@ -4,7 +4,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,11 @@ def _keys(name: str) -> int:
     from control.model.cell import CellFile
     from control.model.reference import FileSection, Key, reference_text, sections
     from control.recording.mcap_schemas import TOPICS
+    from hil_mocks.faults import fault_sections
     from hil_mocks.scenario import Scenario
+
+    def scenario() -> list[FileSection]:
+        return [*sections(Scenario), *fault_sections()]
 
     def columns() -> list[FileSection]:
         return [
@@ -54,9 +58,13 @@ def _keys(name: str) -> int:
             for topic, fields in TOPICS.items()
         ]
 
-    files = {"cell": CellFile, "scenario": Scenario, "tolerances": TolerancesFile}
-    others = {name: partial(sections, file) for name, file in files.items()}
-    sys.stdout.write(reference_text(name, {**others, "armlog": columns}))
+    others: dict[str, Callable[[], Sequence[FileSection]]] = {
+        "cell": partial(sections, CellFile),
+        "scenario": scenario,
+        "tolerances": partial(sections, TolerancesFile),
+        "armlog": columns,
+    }
+    sys.stdout.write(reference_text(name, others))
     return 0
 
 

@@ -20,7 +20,7 @@ from firmware_iface.link import ByteLink, FrameLink
 from firmware_iface.serial_link import open_serial
 from hil_mocks.devices.encoder_inputs import frame
 from hil_mocks.errors import ScenarioError
-from hil_mocks.faults import BUILT_IN, OF_ENCODER, OF_MOTOR
+from hil_mocks.faults import KINDS, kinds_of
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario, Start, load_scenario
 
@@ -269,11 +269,11 @@ def test_a_board_reset_loses_zero_and_power_of_the_drive(host: Host) -> None:
     assert payload[0] & 0x6F == 0x40
 
 
-@pytest.mark.parametrize("kind", sorted(OF_MOTOR | OF_ENCODER))
+@pytest.mark.parametrize("kind", sorted(kinds_of("motor") | kinds_of("encoder")))
 def test_every_kind_of_fault_can_be_switched_on_and_off(kind: str) -> None:
-    board = "motor2" if kind in OF_MOTOR else "encoder"
+    board = "motor2" if kind in kinds_of("motor") else "encoder"
     value = {"swapped_channels": 1.0, "swapped_motors": 1.0, "supply": 6.0}.get(kind, 7.0)
-    late = 0.0 if kind in BUILT_IN else 0.01
+    late = 0.0 if KINDS[kind].is_built_in else 0.01
     rig = SteppedRig(RIGHT, at_rest(fault=(FaultTable(kind, board, at_s=late, until_s=0.02, value=value),)))
     rig.clock.wait_until_s(0.04)
     rig.close()
