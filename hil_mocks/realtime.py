@@ -86,7 +86,7 @@ class MockProcess(Closing):
         return self.ask("status")
 
     def ask(self, do: str, **arguments: object) -> dict[str, Any]:
-        """Send one request of docs/mock_robot.md and return its answer. Raises RigError."""
+        """Send one request of `hil_mocks.serve` and return its answer. Raises RigError."""
         try:
             self._socket.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
             line = self._lines.readline()

@@ -1,7 +1,26 @@
 """`python -m hil_mocks.serve`: a mock arm, or a cell of several, in real time as a separate process.
 
-Prints its ports as one JSON line on stdout; serves JSON requests on a Unix socket (docs/mock_robot.md); ends on SIGTERM,
-SIGINT, `{"do": "quit"}` or the end of its standard input, which happens when its parent dies.
+Prints one JSON line: encoder_urls, board_urls, can_interface, can_channel, can_options, camera_port, socket, pid; with --cell by
+arm, under arms. Obeys JSON lines on that socket; an answer has ok, and error if false. Ends on SIGTERM, SIGINT, `quit` or the
+end of its standard input, which happens when its parent dies. Requests, as `{"do": "seat", "point_m": [0.4, 0, 0.1]}`, with `arm`
+of a cell:
+
+    do             arguments          answer, or what happens
+    truth                             time_s, tip_m, joint_rad
+    seat           point_m            duration_s until the hand has the tip there
+    let_go
+    hand                              state (away, dragging, holding, cannot reach), residual_m, problem
+    payload        mass_kg
+    tool           name               mounts another of the arm's tools
+    object         width_m, or null   between the gripper's fingers
+    gripper                           opening_m, force_N on the object: the truth
+    pin            name, level        on an input, from outside; a limit switch there changes by hand from then on
+    pins                              levels at all named pins
+    inject         fault              an object with the keys of [[fault]] of a scenario
+    clear_faults
+    scenario       name               a file or a shipped one: restarts the mock, another robot on the same wires
+    status                            time_s, overruns, lost_s, worst_late_s
+    quit
 """
 
 from __future__ import annotations
@@ -227,7 +246,7 @@ class MockServer:
             case "clear_faults":
                 robot.clear_faults()
             case unknown:
-                raise RigError(f'mock arm: unknown request "{unknown}"; see docs/mock_robot.md.')
+                raise RigError(f'mock arm: unknown request "{unknown}"; `python -m hil_mocks.serve --help` lists them.')
         return {}
 
     def _status(self) -> dict[str, Any]:
@@ -243,7 +262,9 @@ class MockServer:
 
 def main(arguments: list[str] | None = None) -> int:
     """Serve until told to end; exit status 2 with one line on stderr if it cannot start."""
-    parser = argparse.ArgumentParser(prog="python -m hil_mocks.serve", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m hil_mocks.serve", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--arm", default="right", help="arm.toml or the name of a shipped arm")
     parser.add_argument("--scenario", default="ideal", help="scenario file or the name of a shipped one")
     parser.add_argument("--can-channel", default="", help="multicast group of the CAN bus; default: a new one")
