@@ -2,8 +2,9 @@ r"""Frames of rows: how a recording is stored compactly, some 20 ms of it a fram
 
 Frame: u32 bytes of the content, u16 number of rows (bit 15: a new deflate stream begins, bit 14: the rows are packed as they
 are), u32 CRC-32 of these six bytes and the content; little endian. The content is the next part of a raw deflate stream, flushed,
-without the `\0\0\xff\xff` that ends a flush. In it, column after column, each row's difference (`Kind`)
-as a zigzag LEB128 number. A column that may be NaN codes it as 0, and all else as one more. Values that have no integer, such
+without the `\0\0\xff\xff` that ends a flush. In it, column after column, each row's difference (`Kind`) as a zigzag LEB128
+number, of what remains after the column `beside` (-1: none) times `factor`, rounded. A `float` column of order 1 with a
+`per_unit` codes NaN as 0, and all else as one more. Values that have no integer, such
 as an infinite one, make a frame of packed rows, after which differences start again from 0, as they do with a new stream.
 
 Frames are only ever appended: a killed writer loses what it had not written, and a reader takes every whole frame. After a

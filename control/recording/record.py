@@ -1,8 +1,14 @@
 r"""Recording format: a JSON header and one fixed-size binary row per cycle, robust against a killed process; an arm's columns.
 
-File: `ARMLOG2\n`, u32 header length, JSON header (fields, joint count, arm, start time), then frames of rows
-(control.recording.frames); little endian. `ARMLOG1\n`: packed rows instead, as on the stepped clock and by earlier versions.
+File: `ARMLOG2\n`, u32 header length, JSON header, then frames of rows (control.recording.frames); little endian.
+`ARMLOG1\n`: packed rows instead, as on the stepped clock and by earlier versions.
 Both are only ever appended to, so a killed writer can truncate only the last frame or row, which the reader drops.
+
+Header: names, packing (columns of a row, and their format for `struct`), frames (per_unit, order, beside, factor of each);
+joint_count; modes, tools, gripper_states, digital (names by number); arm, arm_file, arm_toml (name, path and full text);
+program (version), started_unix_s (time of day at t_s = 0), period_s; cell (of a cell's arm: name, arm, and the bases of all
+arms: origin_m, orientation).
+
 In real time the rows go through a pipe to a writer process (`control.recording.writer`): the loop never waits for a
 disk, and when the loop dies the writer still drains the pipe. It continues in another file when one has grown large
 (`next_part`). On the stepped clock, the rows go directly to the file.
