@@ -8,7 +8,7 @@ nobody answers.
 
 What an error does stands in the table (Feetech, "STS Servo Memory Table Analysis"). At those of the unloading condition the
 motor is let go as long as they last; but overload, a load above its threshold for its time, leaves a share of the torque until
-that is switched off. A bit of the phase says whether the position counts on beyond a turn.
+that is switched off. A bit of the phase says whether the position counts on beyond a turn. RECOVERY, RESET and CAL are left out.
 """
 
 from __future__ import annotations
