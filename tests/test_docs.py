@@ -268,13 +268,6 @@ def test_names_of_the_architecture_below_a_room_exist() -> None:
     assert [name for name in names if not any(is_a_name(f"{room}.{name}") for room in PACKAGES)] == []
 
 
-def test_every_function_of_a_characteristic_exists() -> None:
-    text = (ROOT / "docs" / "iso9283.md").read_text(encoding="utf-8")
-    names = [name for row in text.splitlines() if row.startswith("| ") for name in re.findall(r"`(\w+\.\w+)`", row)]
-    assert len(names) >= 14
-    assert [name for name in names if not is_a_name(f"calib.iso9283.criteria.{name}")] == []
-
-
 def test_code_and_documents_name_pages_that_exist() -> None:
     for file in (*code_files(), *DOCUMENTS):
         for name in FILE_IN_TEXT.findall(file.read_text(encoding="utf-8")):
