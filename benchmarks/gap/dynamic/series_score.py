@@ -112,6 +112,12 @@ def known_in_part(case: Case) -> Arm:
     return with_totals(arm, own)
 
 
+def true_total(arm: Arm, entry: dict[str, Any]) -> dict[str, float]:
+    """What an effect of the truth amounts to beside what the simulated arm has of it: dry and viscous friction act besides."""
+    own = [one.parameters for one in arm.effects if EffectName(one.effect, one.joint) == _key(entry)]
+    return {key: value + sum(one[key] for one in own) for key, value in entry["parameters"].items()}
+
+
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -165,7 +171,9 @@ def _key(entry: dict[str, Any]) -> EffectName:
 
 
 def _judge(case: Case, found: GapFinding, tally: Tally, label: str) -> None:
-    wanted = {_key(entry): entry["parameters"] for entry in case.truth if entry["effect"] in EFFECTS}
+    listed = [entry for entry in case.truth if entry["effect"] in EFFECTS]
+    whole = arm_of(case.arm_toml) if label.startswith("known") else None
+    wanted = {_key(entry): entry["parameters"] if whole is None else true_total(whole, entry) for entry in listed}
     got = {one.name: one for one in found.effects}
     could = {one.name for one in found.nameable if one.is_nameable}
     in_set = {name for names in found.ambiguous for name in names}

@@ -198,7 +198,7 @@ def _against(fit: SeriesFit, member: Member, reporting: Picked) -> NamelessShape
     # Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
     if member.departure > LAW_MOST and not member.term.is_common:
         return NamelessShape(worth, f"what {name} would explain departs too far from its law", member.number, rival)
-    if worth < 0.0:
+    if worth < -REMAINS:
         return NamelessShape(worth, f"{name} improves the fitted runs, but not the held-out ones", member.number, rival)
     return None
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,6 +79,17 @@ def test_no_file_predicts_worse_than_the_given_arm_whatever_the_fit_says(monkeyp
     assert outcome.finding.effects == ()
     assert outcome.finding.gap_after == outcome.finding.gap_before
     assert f"{LOAD_2} improves the fitted runs, but not the held-out ones: ignored" in outcome.warnings
+
+
+@pytest.mark.parametrize(("worth", "is_against"), [(-3e-4, False), (-0.3, True), (0.2, False)])
+def test_runs_kept_apart_that_do_not_speak_of_a_name_do_not_contradict_it(
+    worth: float, is_against: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stribeck friction shows near rest: fast runs change with it by less than any noise."""
+    monkeypatch.setattr(answer, "_worth", lambda fit, number, reporting: worth)
+    member: Any = SimpleNamespace(term=SimpleNamespace(key=LOAD_2, is_common=False), departure=0.0, number=0)
+    nothing: Any = None
+    assert (answer._against(nothing, member, nothing) is not None) == is_against
 
 
 def test_what_decides_without_repeats_is_held_out_in_pieces_of_its_time() -> None:
