@@ -59,6 +59,7 @@ class NamedEffect:
     `probability` of it given the data, `share` of the excess over the noise that it explains, `departure` of the part from the
     textbook's law as a fraction of its size, over the law's own `variable`. NaN and "" where they were not determined.
     `is_nothing`: the arm's file has it and the data do not: its total is none, without parameters, and it is taken out.
+    `beside`: parameters as they are beside all that has no name, where that is another estimate.
     """
 
     name: EffectName
@@ -70,6 +71,7 @@ class NamedEffect:
     departure: float = math.nan
     variable: str = ""
     is_nothing: bool = False
+    beside: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +230,10 @@ def write_gap_json(path: Path, finding: GapFinding) -> None:
     write_whole(path, json.dumps(gap_content(finding), indent=2, allow_nan=False) + "\n")
 
 
+def _with_sd(effect: NamedEffect) -> dict[str, object]:
+    return {key: {"value": value, "sd": sd, "beside": effect.beside.get(key)} for key, (value, sd) in effect.parameters.items()}
+
+
 def gap_content(finding: GapFinding) -> dict[str, object]:
     """What stands in gap.json."""
     whole = {
@@ -245,7 +251,7 @@ def gap_content(finding: GapFinding) -> dict[str, object]:
         "effects": [
             {
                 **_fields(part.name),
-                "parameters": {key: {"value": value, "sd": sd} for key, (value, sd) in part.parameters.items()},
+                "parameters": _with_sd(part),
                 "is_nothing": part.is_nothing,
                 "gap_after": part.gap_after,
                 "probability": part.probability,
@@ -255,13 +261,7 @@ def gap_content(finding: GapFinding) -> dict[str, object]:
             }
             for part in finding.effects
         ],
-        "refitted": [
-            {
-                **_fields(part.name),
-                "parameters": {key: {"value": value, "sd": sd} for key, (value, sd) in part.parameters.items()},
-            }
-            for part in finding.refitted
-        ],
+        "refitted": [{**_fields(part.name), "parameters": _with_sd(part)} for part in finding.refitted],
         "ambiguous": finding.ambiguous,
         "unknown": finding.unknown,
         "nameable": [
@@ -339,8 +339,13 @@ def with_geometry(arm: Arm, finding: GapFinding) -> Arm:
 
 
 def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -> Effect:
-    """As the arm's file has it: values without their standard deviations."""
-    return Effect(name.effect, name.joint, {key: value for key, (value, _) in parameters.items()})
+    """As the arm's file has it."""
+    return Effect(name.effect, name.joint, values_alone(parameters))
+
+
+def values_alone(parameters: Parameters) -> dict[str, float]:
+    """Parameters without their standard deviations."""
+    return {key: value for key, (value, _) in parameters.items()}
 
 
 def with_totals(arm: Arm, totals: Sequence[Effect]) -> Arm:
@@ -359,7 +364,9 @@ def as_totals(arm: Arm, finding: GapFinding) -> GapFinding:
 
     def total_of(named: NamedEffect) -> NamedEffect:
         if named.name in known:
-            named = replace(named, parameters=as_total(named.name.effect, known[named.name], named.parameters))
+            effect, before = named.name.effect, known[named.name]
+            beside = total(effect, before, named.beside) if named.beside else {}
+            named = replace(named, parameters=as_total(effect, before, named.parameters), beside=beside)
         return named if is_possible(named.name.effect, named.parameters) else replace(named, parameters={}, is_nothing=True)
 
     refitted = tuple(effect for effect in map(total_of, finding.refitted) if not effect.is_nothing)
@@ -369,7 +376,7 @@ def as_totals(arm: Arm, finding: GapFinding) -> GapFinding:
 def is_possible(effect: str, parameters: Parameters) -> bool:
     """Whether a file may have them: no friction is below nought."""
     kind = EFFECTS[effect]
-    values = {name: value for name, (value, _) in parameters.items()}
+    values = values_alone(parameters)
     return not any(values.get(name, 1.0) <= 0.0 for name in kind.positive) and not any(
         values.get(name, 0.0) < 0.0 for name in kind.not_negative
     )
@@ -377,5 +384,5 @@ def is_possible(effect: str, parameters: Parameters) -> bool:
 
 def as_total(effect: str, known: Mapping[str, float], changes: Parameters) -> Parameters:
     """Both as one effect of the same kind, with the standard deviations of what was found."""
-    values = total(effect, known, {name: value for name, (value, _) in changes.items()})
+    values = total(effect, known, values_alone(changes))
     return {name: (value, changes.get(name, (value, 0.0))[1]) for name, value in values.items()}

@@ -23,6 +23,7 @@ from calib.gap.finding import (
     NamedEffect,
     Parameters,
     is_possible,
+    values_alone,
 )
 from calib.gap.poses.cautions import about_fit, about_flanks, about_orientations, about_outliers
 from calib.gap.poses.file import File, follows, placed
@@ -353,6 +354,7 @@ def _named(linearised: Linearised, decision: Decision, file: File, name: EffectN
         name,
         {} if is_nothing else file.parameters(name, total.parameters),
         gap,
+        beside={} if is_nothing else values_alone(total.parameters),
         probability=decision.probability[name],
         share=share_of(linearised.evidence, decision.best, [numbers[name]]),
         departure=total.departure,

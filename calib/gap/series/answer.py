@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.catalogue import parameters
 from calib.gap.effects.motor import SAMPLING
-from calib.gap.finding import EffectName, Nameable, NamedEffect, Remainder, Unknown
+from calib.gap.finding import EffectName, Nameable, NamedEffect, Remainder, Unknown, values_alone
 from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT_MOST, UNTOLD
 from calib.gap.posterior.decide import left_with, nameable
 from calib.gap.posterior.evidence import Evidence
@@ -47,6 +47,7 @@ class NamelessShape:
 class SeriesVerdict:
     """The verdict on the last fit: names with law, covariance of its values and departure; what is left; corrections.
 
+    `posterior`: the laws as they are beside all that has no name;
     `fit`: its best set without what was withdrawn; `corrected`: terms taken off as the sensors' own, with coefficients;
     `refitted`: changes of what the arm's file has beside the names.
     `explaining`: keys that explain something: names, how parts depart, and what is taken off.
@@ -55,6 +56,7 @@ class SeriesVerdict:
     fit: SeriesFit
     corrected: tuple[tuple[SeriesTerm, Array], ...]
     laws: dict[EffectName, Law]
+    posterior: dict[EffectName, Law]
     covariance: dict[EffectName, Array]
     departure: dict[EffectName, float]
     refitted: tuple[Member, ...]
@@ -121,6 +123,7 @@ def _verdict(
 ) -> SeriesVerdict:
     """Of a fit whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
     laws: dict[EffectName, Law] = {}
+    posterior: dict[EffectName, Law] = {}
     spread: dict[EffectName, Array] = {}
     departs: dict[EffectName, float] = {}
     explaining: set[Key] = set()
@@ -134,7 +137,7 @@ def _verdict(
         if isinstance(key, EffectName) and member.number in named and member.term.law is not None:
             filed = dataclasses.replace(member, size=file.size[member.number], covariance=file.covariance[member.number])
             laws[key], departs[key] = member.term.law(filed.size).bounded(), member.departure
-            spread[key] = covariance_of_values(filed)
+            spread[key], posterior[key] = covariance_of_values(filed), member.term.law(member.size).bounded()
     left_over = list(nameless)
     for member in best_set:
         key = member.term.key
@@ -155,7 +158,18 @@ def _verdict(
     explained = explaining.union(*sets)  # one of a set explains what it does, whichever it is
     unknown = _unknown(whole, left_over, explaining) or _silent(whole, what_is_left(whole, explained), reporting, harming)
     return SeriesVerdict(
-        fit, corrected, laws, spread, departs, file.refitted, sets, unknown, remainder, frozenset(explaining), tuple(sentences)
+        fit,
+        corrected,
+        laws,
+        posterior,
+        spread,
+        departs,
+        file.refitted,
+        sets,
+        unknown,
+        remainder,
+        frozenset(explaining),
+        tuple(sentences),
     )
 
 
@@ -344,6 +358,7 @@ def named_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
             name,
             parameters(fit.point.scene.arm, verdict.laws[name], verdict.covariance[name]),
             math.nan,
+            beside=values_alone(parameters(fit.point.scene.arm, verdict.posterior[name], verdict.covariance[name])),
             probability=fit.decision.probability[name],
             share=share[name],
             departure=verdict.departure[name],

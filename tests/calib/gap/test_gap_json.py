@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import msgspec
@@ -23,6 +24,7 @@ from calib.gap.finding import (
     updated_arm,
     write_gap_json,
 )
+from calib.gap.words import interval, parameters_text
 from control.model.arm import Effect
 from control.model.description import load_arm, save_arm
 from control.model.maps import CorrectionMap
@@ -36,6 +38,7 @@ class Name(msgspec.Struct, forbid_unknown_fields=True):
 class Value(msgspec.Struct, forbid_unknown_fields=True):
     value: float
     sd: float | None
+    beside: float | None
 
 
 class Departure(msgspec.Struct, forbid_unknown_fields=True):
@@ -232,3 +235,20 @@ def test_an_effect_of_another_joint_is_added_beside_what_is_known() -> None:
     arm = dataclasses.replace(load_arm("right"), effects=(Effect("backlash", 1, {"width_rad": 0.003}),))
     model = updated_arm(arm, found_with(("backlash", 2, {"width_rad": 0.002}), ("link_geometry", None, {})))
     assert [(one.effect, one.joint) for one in model.effects] == [("backlash", 1), ("backlash", 2)]
+
+
+def test_an_interval_reaches_the_other_estimate_on_its_side_alone_and_is_said_where_that_lies_outside() -> None:
+    """Viscous friction of a real joint: 2.0 in the file, 0.28 beside what has no name; two sd would hold nought."""
+    rubbed = NamedEffect(
+        EffectName("viscous_friction", 1),
+        {"coefficient_Nm_s_rad": (2.0, math.hypot(0.2, 1.72))},
+        1.0,
+        beside={"coefficient_Nm_s_rad": 0.28},
+    )
+    lower, upper = interval(rubbed, "coefficient_Nm_s_rad")
+    assert (lower, upper) == pytest.approx((2.0 - math.hypot(1.96 * 0.2, 1.72), 2.0 + 1.96 * 0.2), rel=1e-3)
+    assert parameters_text(rubbed) == "coefficient_Nm_s_rad = 2 (0.236 to 2.39)"
+    near = dataclasses.replace(rubbed, parameters={"coefficient_Nm_s_rad": (2.0, 0.2)}, beside={"coefficient_Nm_s_rad": 1.9})
+    assert parameters_text(near) == "coefficient_Nm_s_rad = 2 +- 0.2"
+    turned = dataclasses.replace(rubbed, parameters={"phase_rad": (-3.1, 0.1)}, beside={"phase_rad": 3.1})
+    assert parameters_text(turned) == "phase_rad = -3.1 +- 0.1"
