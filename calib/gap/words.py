@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from calib.gap.effects.catalogue import follows_map
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unknown
 from calib.gap.posterior.constants import AT_FLOOR, NEAR, UNTOLD, CHECKED_sd
 
@@ -78,9 +79,9 @@ def _shared(finding: GapFinding, names: Sequence[EffectName]) -> str:
 def _departing(finding: GapFinding) -> Iterator[str]:
     """How much of what arm.toml leaves is no riddle: named parts depart from their laws."""
     if finding.gap_after > AT_FLOOR and finding.gap_after > UNTOLD * finding.gap_explained:
-        departing = {effect.name.effect for effect in finding.effects if effect.departure > 0.0}
-        is_play = departing == {"backlash"}
-        more = "A play that lies on another flank is in no map." if is_play else "Measured maps (--map) hold more."
+        departing = [effect.name.effect for effect in finding.effects if effect.departure > 0.0]
+        is_in_maps = not departing or any(map(follows_map, departing))
+        more = "Measured maps (--map) hold more." if is_in_maps else "No map follows these."
         yield (
             "arm.toml has the laws alone; with the departures of these parts from them, and plays on their flanks,"
             f" {finding.gap_explained:.2f} times the noise would remain. {more}"

@@ -101,6 +101,15 @@ def parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     return parameters_of(law.name.effect)(np.array(law.values), covariance)
 
 
+def follows_map(effect: str) -> bool:
+    """Whether a map can hold how a part departs from a law: over the joint's angle or load, or what its motor turns against.
+
+    None holds a flank of a play, a drift with time, or a bending link.
+    """
+    record = RECORDS[effect]
+    return record.traits.blocks in ("q{j}", "load") or (record.series is not None and record.series.form.acts == "motor")
+
+
 def usual(effect: str) -> float:
     """The usual size of an effect, or of a block, in smallest sizes worth a name."""
     return USUAL if (series := series_of(effect)) is None else series.usual

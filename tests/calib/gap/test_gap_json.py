@@ -24,7 +24,7 @@ from calib.gap.finding import (
     updated_arm,
     write_gap_json,
 )
-from calib.gap.words import interval, parameters_text
+from calib.gap.words import in_words, interval, parameters_text
 from control.model.arm import Effect
 from control.model.description import load_arm, save_arm
 from control.model.maps import CorrectionMap
@@ -252,3 +252,15 @@ def test_an_interval_reaches_the_other_estimate_on_its_side_alone_and_is_said_wh
     assert parameters_text(near) == "coefficient_Nm_s_rad = 2 +- 0.2"
     turned = dataclasses.replace(rubbed, parameters={"phase_rad": (-3.1, 0.1)}, beside={"phase_rad": 3.1})
     assert parameters_text(turned) == "phase_rad = -3.1 +- 0.1"
+
+
+@pytest.mark.parametrize(
+    ("effects", "holds_more"),
+    [(("backlash", "thermal_drift"), False), (("joint_compliance",), True), (("backlash", "cogging"), True)],
+)
+def test_maps_are_offered_where_one_can_follow_what_departs(effects: tuple[str, ...], holds_more: bool) -> None:
+    """A play on another flank and a drift with time are in no map."""
+    named = tuple(NamedEffect(EffectName(effect, 1), {}, 2.0, departure=0.04) for effect in effects)
+    sentences = in_words(dataclasses.replace(full(), effects=named, gap_after=2.0, gap_explained=1.0))
+    (said,) = (sentence for sentence in sentences if "the laws alone" in sentence)
+    assert ("--map" in said) == holds_more
