@@ -165,6 +165,18 @@ def test_what_happens_without_torque_supply_or_host_is_said_of_every_kind_of_boa
     assert [row for row in done if "" in row] == []
 
 
+def test_the_table_of_boards_has_what_each_kind_offers() -> None:
+    text = (ROOT / "docs" / "boards.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \[`(\w+)`\]\(\w+\.md\) \| (serial|CAN)[^|]*\| (\d) \| ([^|]+) \| (\w+)", text, re.MULTILINE)
+    modes = {name: tuple(re.findall(r"voltage|current|position", words)) for name, _, _, words, _ in rows}
+    assert modes == {name: kind.modes for name, kind in KINDS.items()}
+    assert {name: (line.lower(), int(motors)) for name, line, motors, _, _ in rows} == {
+        name: (kind.line, kind.motors) for name, kind in KINDS.items()
+    }
+    absolute = {name for name, kind in KINDS.items() if kind.is_absolute or kind.may_be_absolute}
+    assert {name for name, *_, encoder in rows if encoder == "absolute"} == absolute
+
+
 SECTIONS = [
     "Wiring",
     "Settings",
