@@ -38,7 +38,8 @@ GUIDING = {
     "drives off: somebody HOLDS the arm": "guide",
     "gravity compensation: the drives hold the arm's weight": "guide --weightless",
 }
-FOUND_OFF = "The boards hold the arm as they were found. They let go, and it drops: does somebody HOLD it?"
+OFF = "Stop, hold, drives off? The arm sinks on shorted windings;\non servos, ODrives and CiA 402 drives it drops: HOLD it."
+FOUND_OFF = "The boards hold the arm as they were found.\nThey let go, and it drops: does somebody HOLD it?"
 HINTS = "space STOP  1-9 xyz select  ←→ jog  t step  -+ speed  n on  h home  ? all keys"
 
 HINTS_OF_SEVERAL = "space STOP all  tab other arm  1-9 xyz select  ←→ jog  n on  h home  ? keys"
@@ -245,7 +246,7 @@ class OperatingScreen(Screen[None]):
         """Turn the drives off, after confirmation."""
         status = self._link.status
         is_found = status is not None and (status["mode"] == "HELD" or status["drives"] == "AS_FOUND")
-        question = FOUND_OFF if is_found else "Stop, hold, lower the arm on shorted windings, drives off?"
+        question = FOUND_OFF if is_found else OFF
         if await self.app.push_screen_wait(Confirm(question)):
             await self._operator.line("off --yes" if is_found else "off")
 
