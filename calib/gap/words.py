@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from calib.gap.effects.catalogue import follows_map
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unknown
 from calib.gap.posterior.constants import AT_FLOOR, NEAR, UNTOLD, CHECKED_sd
+from control.model.effects import EFFECTS
 
 LISTED_MOST = 6  # of names in a sentence
 
@@ -116,7 +117,7 @@ def _nearest(unknown: Unknown) -> str:
 
 
 def parameters_text(effect: NamedEffect) -> str:
-    """As `width_rad = 0.0051 +- 0.0001`; what lies further from the file's value on one side, as `2.02 (0.24 to 2.42)`."""
+    """As `width_rad = 0.0051 +- 0.0001`; what lies further from the file's value on one side, as `2.02 (0 to 2.42)`."""
     return ", ".join(f"{name} = {_with_doubt(effect, name)}" for name in effect.parameters)
 
 
@@ -125,22 +126,25 @@ def _with_doubt(effect: NamedEffect, name: str) -> str:
     if math.isnan(sd):
         return f"{value:.4g}"
     lower, upper = interval(effect, name)
-    is_within = max(upper - value, value - lower) <= math.sqrt(2.0) * min(upper - value, value - lower)
-    return f"{value:.4g} +- {sd:.2g}" if is_within else f"{value:.4g} ({lower:.3g} to {upper:.3g})"
+    is_even = max(upper - value, value - lower) <= math.sqrt(2.0) * min(upper - value, value - lower)  # apart by one sd at most
+    return f"{value:.4g} +- {sd:.2g}" if is_even else f"{value:.4g} ({lower:.3g} to {upper:.3g})"
 
 
 def interval(effect: NamedEffect, name: str) -> tuple[float, float]:
     """What a parameter lies between, at CERTAIN probability.
 
-    The standard deviation counts how far the file's value is from the one beside all that has no name. The interval reaches that
-    one on its own side alone, as `posterior.decide.sureness_of_file` has it: of an effect that is named it does not hold nought.
+    The standard deviation counts how far the file's value is from the one beside all that has no name: it does so on that one's
+    side. What is there and cannot be below nought ends there.
     """
     value, sd = effect.parameters[name]
     apart = effect.beside.get(name, value) - value
     if name == "phase_rad":
         apart = math.remainder(apart, 2.0 * math.pi)
-    half = CHECKED_sd * math.sqrt(max(sd**2 - apart**2, 0.0))
-    return value - math.hypot(half, max(-apart, 0.0)), value + math.hypot(half, max(apart, 0.0))
+    own = math.sqrt(max(sd**2 - apart**2, 0.0))
+    below, above = (sd, own) if apart < 0.0 else (own, sd)
+    kind = EFFECTS.get(effect.name.effect)
+    least = 0.0 if kind is not None and name in (*kind.positive, *kind.not_negative) else -math.inf
+    return max(value - CHECKED_sd * below, least), value + CHECKED_sd * above
 
 
 def _listed_short(names: Sequence[EffectName]) -> str:

@@ -19,6 +19,7 @@ from benchmarks.gap.dynamic.score import arm_of, log_of
 from benchmarks.studies import say
 from calib.gap.finding import EffectName, GapFinding, as_totals, with_totals
 from calib.gap.series.find import examine
+from calib.gap.words import interval
 from control.model.arm import Arm, Effect
 from control.model.effects import EFFECTS
 
@@ -138,6 +139,7 @@ class Tally:
         self.count: Counter[str] = Counter()
         self.errors: list[float] = []
         self.inside: list[float] = []
+        self.held: list[bool] = []
         self.gaps: list[float] = []
         self.took: list[float] = []
 
@@ -147,7 +149,8 @@ class Tally:
         text += f"; seconds median {np.median(self.took):.0f}, most {max(self.took):.0f}"
         if self.errors:
             text += f"; parameters: median {np.median(self.errors):.1%}, within 10 % {np.mean(np.array(self.errors) <= 0.1):.0%}"
-            text += f", within 2 sd {np.mean(np.array(self.inside) <= 1.96):.0%} of {len(self.inside)}"
+            text += f", within 2 sd {np.mean(np.array(self.inside) <= 1.96):.0%}"
+            text += f", in their intervals {np.mean(self.held):.0%} of {len(self.inside)}"
         if self.gaps:
             text += f"; gap after median {np.median(self.gaps):.2f}, largest {max(self.gaps):.2f}"
         return text
@@ -193,6 +196,8 @@ def _judge(case: Case, found: GapFinding, tally: Tally, label: str) -> None:
                 base = true - 1.0 if name.effect == "torque_constant" else true
                 tally.errors.append(abs(value - true) / abs(base))
                 tally.inside.append(abs(value - true) / max(sd, 1e-300))
+                lower, upper = interval(got[name], key)
+                tally.held.append(lower <= true <= upper)
     if wanted and wanted.keys() <= got.keys():
         tally.gaps.append(found.gap_after)
     said = {

@@ -17,6 +17,7 @@ from benchmarks.gap.static.rough_cases import Case, case
 from benchmarks.studies import say
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.poses.find import find
+from calib.gap.words import interval
 
 SORTS = ("exact", "rough", "many", "null", "foreign", "known")
 
@@ -37,6 +38,7 @@ def _score(sort: str, first: int, cases: int) -> None:
     tally: Counter[str] = Counter()
     errors: list[float] = []
     sds: list[float] = []
+    held: list[bool] = []
     gaps: list[float] = []
     took: list[float] = []
     for seed in range(first, first + cases):
@@ -44,13 +46,13 @@ def _score(sort: str, first: int, cases: int) -> None:
         began = time.process_time()
         found = find(one.arm, one.points).finding
         took.append(time.process_time() - began)
-        _judge(one, found, tally, errors, sds, gaps, f"{sort} {seed}")
+        _judge(one, found, tally, errors, sds, held, gaps, f"{sort} {seed}")
     numbers = "  ".join(f"{key} {count}" for key, count in sorted(tally.items()))
     more = f"; seconds median {np.median(took):.1f}, most {max(took):.1f}"
     if errors:
         more += (
             f"; parameters: median {100 * np.median(errors):.1f} %, within 10 % {sum(e <= 0.1 for e in errors)} of {len(errors)},"
-            f" within 2 sd {sum(s <= 1.96 for s in sds)} of {len(sds)}"
+            f" within 2 sd {sum(s <= 1.96 for s in sds)}, in their intervals {sum(held)} of {len(sds)}"
         )
     if gaps:
         more += f"; gap after median {np.median(gaps):.2f}, largest {max(gaps):.2f}, <= 1.3: {sum(g <= 1.3 for g in gaps)}"
@@ -58,7 +60,14 @@ def _score(sort: str, first: int, cases: int) -> None:
 
 
 def _judge(
-    one: Case, found: GapFinding, tally: Counter[str], errors: list[float], sds: list[float], gaps: list[float], label: str
+    one: Case,
+    found: GapFinding,
+    tally: Counter[str],
+    errors: list[float],
+    sds: list[float],
+    held: list[bool],
+    gaps: list[float],
+    label: str,
 ) -> None:
     wanted = {EffectName(h.effect, h.joint): h for h in one.hidden} if one.is_listed else {}
     got = {e.name: e for e in found.effects if e.name.effect != "link_geometry"}
@@ -79,6 +88,8 @@ def _judge(
         if name.effect != "base_frame":
             errors.append(off / abs(wanted[name].value - (name.effect == "torque_constant")))
             sds.append(off / max(sd, 1e-300))
+            lower, upper = interval(got[name], PARAMETER[name.effect])
+            held.append(lower <= wanted[name].value <= upper)
     if wanted and len(right) == len(wanted):
         gaps.append(found.gap_after)
     if not is_exact or (one.is_listed and found.unknown is not None) or (wanted and found.gap_after > 1.3):

@@ -237,7 +237,7 @@ def test_an_effect_of_another_joint_is_added_beside_what_is_known() -> None:
     assert [(one.effect, one.joint) for one in model.effects] == [("backlash", 1), ("backlash", 2)]
 
 
-def test_an_interval_reaches_the_other_estimate_on_its_side_alone_and_is_said_where_that_lies_outside() -> None:
+def test_an_interval_is_wider_towards_the_other_estimate_and_ends_at_nought_where_nothing_is_below() -> None:
     """Viscous friction of a real joint: 2.0 in the file, 0.28 beside what has no name; two sd would hold nought."""
     rubbed = NamedEffect(
         EffectName("viscous_friction", 1),
@@ -245,12 +245,16 @@ def test_an_interval_reaches_the_other_estimate_on_its_side_alone_and_is_said_wh
         1.0,
         beside={"coefficient_Nm_s_rad": 0.28},
     )
-    lower, upper = interval(rubbed, "coefficient_Nm_s_rad")
-    assert (lower, upper) == pytest.approx((2.0 - math.hypot(1.96 * 0.2, 1.72), 2.0 + 1.96 * 0.2), rel=1e-3)
-    assert parameters_text(rubbed) == "coefficient_Nm_s_rad = 2 (0.236 to 2.39)"
+    assert interval(rubbed, "coefficient_Nm_s_rad") == pytest.approx((0.0, 2.0 + 1.96 * 0.2), rel=1e-3)
+    assert parameters_text(rubbed) == "coefficient_Nm_s_rad = 2 (0 to 2.39)"
+    firmer = dataclasses.replace(
+        rubbed, parameters={"coefficient_Nm_s_rad": (2.0, math.hypot(0.2, 0.5))}, beside={"coefficient_Nm_s_rad": 2.5}
+    )
+    sides = 2.0 - 1.96 * 0.2, 2.0 + 1.96 * math.hypot(0.2, 0.5)
+    assert interval(firmer, "coefficient_Nm_s_rad") == pytest.approx(sides, rel=1e-3)
     near = dataclasses.replace(rubbed, parameters={"coefficient_Nm_s_rad": (2.0, 0.2)}, beside={"coefficient_Nm_s_rad": 1.9})
     assert parameters_text(near) == "coefficient_Nm_s_rad = 2 +- 0.2"
-    turned = dataclasses.replace(rubbed, parameters={"phase_rad": (-3.1, 0.1)}, beside={"phase_rad": 3.1})
+    turned = dataclasses.replace(rubbed, parameters={"phase_rad": (-3.1, 0.1)}, beside={"phase_rad": 3.15})
     assert parameters_text(turned) == "phase_rad = -3.1 +- 0.1"
 
 
