@@ -54,7 +54,10 @@ def answered(prepared: Looked, linearised: Linearised, decision: Decision) -> St
         return Told.by(linearised.evidence, best, SHARED, looked.told, withdrawn)
 
     others = looked.told
-    firmer = [] if others is None else [name for name in decision.names if others.knows_better(name, told())]
+    # what the others lean to, but did not find themselves, is for these poses to bear out
+    firmer: list[EffectName] = []
+    if others is not None:
+        firmer = [name for name in decision.names if name in others.found and others.knows_better(name, told())]
     decision, estimates, reasons = _borne_out(linearised, decision, firmer)
     residual = linearised.fitted(best)[1]
     floor = looked.refloored(residual).floor

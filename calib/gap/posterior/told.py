@@ -34,13 +34,14 @@ from control.model.effects import linear_values
 class Told:
     """Information (k, k) and pull (k,) of the linear unknowns, in SI units, of effects by name at `places`; values are totals.
 
-    `size` (k,): the usual one of each.
+    `size` (k,): the usual one of each; `found`: those that these recordings have in their own best set.
     """
 
     places: Mapping[EffectName, Places]
     information: Array
     pull: Array
     size: Array
+    found: frozenset[EffectName] = frozenset()
 
     @classmethod
     def by(
@@ -82,7 +83,8 @@ class Told:
         ends = itertools.accumulate((term.laws for term, _ in known), initial=0)
         places = {key: np.arange(*ab) for key, ab in zip(numbers, itertools.pairwise(ends), strict=True)}
         information = (seen - factor[:, :-1].T @ factor[:, :-1]) / np.outer(size, size)
-        return cls(places, information, (pull - factor[:, :-1].T @ factor[:, -1]) / size, size)
+        found = frozenset(key for key in numbers if key in inside)
+        return cls(places, information, (pull - factor[:, :-1].T @ factor[:, -1]) / size, size, found)
 
     def widened(self, name: EffectName, covariance: Array) -> Told:
         """With a covariance (c, c) of one effect's unknowns that no Gram matrix has: (I^-1 + C)^-1, by Woodbury's identity."""

@@ -76,12 +76,13 @@ def decided(
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.usable)
-    fit, harming = validated(fit, parts.reporting)
+    weighed = fit
+    fit, harming = validated(weighed, parts.reporting)
     warnings += [*left_out(scene.usable, rows.table), *unknown_rotors(fit)]
 
     def concluded(fit: SeriesFit, harming: Sequence[Key]) -> Examined:
         verdict = judged(fit, parts, harming)
-        return Examined(arm, log, rows, known, verdict, parts, _told(fit, verdict, arm), tuple(warnings)).with_least_left()
+        return Examined(arm, log, rows, known, verdict, parts, _told(weighed, verdict, arm), tuple(warnings)).with_least_left()
 
     examined = concluded(fit, harming)
     while examined.verdict.laws and examined.growth > GROWS:
@@ -103,7 +104,10 @@ def _named(fit: SeriesFit, examined: Examined) -> Iterator[tuple[int, EffectName
 
 
 def _told(fit: SeriesFit, verdict: SeriesVerdict, arm: Arm) -> Told:
-    """What these runs alone tell, of totals; departures that look like a law itself leave its size so much less sure."""
+    """What these runs alone tell, of totals; departures that look like a law itself leave its size so much less sure.
+
+    By the set as it was weighed, with all that was withdrawn since: what that explained would else speak for other effects.
+    """
     open_ = {name for names in verdict.ambiguous for name in names}
     withdrawn = fit.names - verdict.laws.keys() - open_
     posterior = Told.by(fit.evidence, fit.best, SHARED, fit.point.scene.told, withdrawn)

@@ -73,9 +73,18 @@ def test_of_what_was_withdrawn_nothing_is_told(recordings) -> None:
     evidence = Evidence(_gram(columns, y), [*map(_term, SCALES), _term(OWN)], 0.03)
     told = Told.by(evidence, Weighed(((2, 3), (3, 2)), 1.0, 0.0), SHARED, withdrawn={SCALES[2]})
     assert SCALES[2] not in told.places
+    assert SCALES[2] not in told.found
     free = Told.by(evidence, Weighed(((3, 2),), 1.0, 0.0), SHARED)
     spread = free.information + np.diag([0.0, 0.0, (SIZE * evidence.scales[2][0][3][0]) ** -2.0])
     np.testing.assert_allclose(np.linalg.inv(told.information), np.linalg.inv(spread)[:2, :2], rtol=1e-9)
+
+
+def test_what_recordings_lean_to_is_told_and_not_said_to_be_found(recordings) -> None:
+    *_, columns, y = recordings
+    evidence = Evidence(_gram(columns, y), [*map(_term, SCALES), _term(OWN)], 0.03)
+    told = Told.by(evidence, Weighed(((2, 3), (3, 2)), 1.0, 0.0), SHARED)
+    assert told.places.keys() == set(SCALES)
+    assert told.found == {SCALES[2]}
 
 
 def test_what_was_told_is_not_told_back(recordings, told: Told) -> None:
