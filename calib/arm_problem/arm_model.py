@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +22,7 @@ class ArmModel:
         """Only the geometry of `arm` is used."""
         self.joints, self._convention = arm.joints, arm.dh_convention
         self.nominal_dh, self.nominal_tool_m = arm.dh, np.array(arm.tool.position_m)
+        self.made_dh, self.made_sd = made_geometry(arm)
 
     def tips(self, dh: Array, q: Array, tool_m: Array | None = None) -> Array:
         """Tip positions (m, 3) [m] in the base frame, of DH table (links, 4), poses (m, n), tool (3,)."""
@@ -53,6 +54,7 @@ DH_KINDS = ("d", "theta", "L", "alpha")
 DH_UNITS = ("m", "rad", "m", "rad")
 LENGTH_BOUND_m = 0.005  # SpringerPlus 5:1771, eq. (4)
 ANGLE_BOUND_rad = math.radians(2.0)
+MADE_BOUND_sd = 4.0  # where the arm's file says how exactly a part is made: one normal part in 16,000 is further off
 # Unknowns without a nominal value (pose of a board, length of a tool) are scaled by this many times the
 # bounds above, so that what the data cannot distinguish from a DH parameter moves them instead of the DH parameter.
 FREE_TIMES = 100.0
@@ -63,7 +65,7 @@ class Parameter:
     """One unknown: name such as theta2, unit ("m", "rad" or another), nominal value, largest deviation.
 
     An infinite `bound` means no bound. `typical` is the deviation of the solver's x = 1; 0 for the
-    bound itself.
+    bound itself. `sd`: how exactly the part is made, known before any measurement, about the deviation `made`; infinite: unknown.
     """
 
     name: str
@@ -71,6 +73,8 @@ class Parameter:
     nominal: float
     bound: float
     typical: float = 0.0
+    sd: float = math.inf
+    made: float = 0.0
 
     @property
     def scale(self) -> float:
@@ -94,18 +98,21 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Largest deviation per parameter. Defaults of SpringerPlus 5:1771, eq. (4): 5 mm and 2 degrees.
+    """Largest deviation per parameter. None: as the arm's tolerances say, else 5 mm and 2 degrees (SpringerPlus 5:1771, eq. (4)).
 
     `own` overrides single parameters by name, in their unit.
     """
 
-    length_m: float = LENGTH_BOUND_m
-    angle_rad: float = ANGLE_BOUND_rad
+    length_m: float | None = None
+    angle_rad: float | None = None
     own: Mapping[str, float] = field(default_factory=dict)
 
-    def of(self, name: str, unit: str) -> float:
-        """The bound of a DH parameter; it must be positive and finite."""
-        return self._checked(name, unit, self.own.get(name, self.length_m if unit == "m" else self.angle_rad))
+    def of(self, name: str, unit: str, made_sd: float = math.inf) -> float:
+        """The bound of a DH parameter that is made as exactly as `made_sd`; it must be positive and finite."""
+        general, usual = (self.length_m, LENGTH_BOUND_m) if unit == "m" else (self.angle_rad, ANGLE_BOUND_rad)
+        if general is None:
+            general = MADE_BOUND_sd * made_sd if math.isfinite(made_sd) else usual
+        return self._checked(name, unit, self.own.get(name, general))
 
     def of_free(self, name: str, unit: str) -> float:
         """The bound of an unknown that has none unless `own` gives it one."""
@@ -125,12 +132,39 @@ def dh_names(link_count: int) -> tuple[str, ...]:
     return tuple(f"{kind}{link}" for link in range(1, link_count + 1) for kind in DH_KINDS)
 
 
-def dh_parameters(dh: Array, bounds: Bounds) -> tuple[Parameter, ...]:
-    """Every parameter of a (links, 4) DH table, in the order of dh.ravel()."""
-    return tuple(
-        Parameter(name, DH_UNITS[k % 4], float(value), bounds.of(name, DH_UNITS[k % 4]))
-        for k, (name, value) in enumerate(zip(dh_names(len(dh)), dh.ravel(), strict=True))
-    )
+def dh_parameters(model: ArmModel, bounds: Bounds) -> tuple[Parameter, ...]:
+    """Every parameter of a DH table (links, 4), in the order of dh.ravel()."""
+    dh, parameters = model.nominal_dh.ravel(), []
+    for k, name in enumerate(dh_names(len(model.nominal_dh))):
+        unit, sd = DH_UNITS[k % 4], float(model.made_sd.flat[k])
+        made = float(model.made_dh.flat[k] - dh[k])
+        parameters.append(Parameter(name, unit, float(dh[k]), bounds.of(name, unit, sd), sd=sd, made=made))
+    return tuple(parameters)
+
+
+def made_geometry(arm: Arm) -> tuple[Array, Array]:
+    """The DH table (links, 4) that the arm's parts were made to, and how exactly: standard deviations, infinite where unknown.
+
+    The theta of a joint's row also has the joint's zero in it.
+    """
+    made = arm.tolerances
+    if made is None:
+        return arm.dh, np.full((len(arm.links), 4), np.inf)
+    dh, variance = np.array(made.about or arm.dh), np.full((len(arm.links), 4), np.nan)
+    zeros = iter(made.of_joint(joint).encoder_zero_rad for joint in range(1, arm.joint_count + 1))
+    for row, turns in enumerate(arm.joints):
+        link, zero = made.of_link(row + 1), next(zeros) if turns else None
+        for column, spreads in enumerate(((link.d_m,), (link.theta_rad, zero), (link.L_m,), (link.alpha_rad,))):
+            if known := [spread for spread in spreads if spread is not None]:
+                dh[row, column] += sum(spread.centre for spread in known)
+                variance[row, column] = sum(spread.sd_about**2 for spread in known)
+    return dh, np.where(np.isnan(variance), np.inf, np.sqrt(variance))
+
+
+def prior_sd(parameters: Sequence[Parameter], bounded: float, free: float) -> Array:
+    """Standard deviations (k,) of scaled unknowns before any measurement, where an arm's file says none: `bounded`, or `free`."""
+    usual = (bounded if parameter.has_bound else free for parameter in parameters)
+    return np.array([p.sd / p.scale if math.isfinite(p.sd) else other for p, other in zip(parameters, usual, strict=True)])
 
 
 def require_known_names(wanted: Collection[str], names: Collection[str]) -> None:

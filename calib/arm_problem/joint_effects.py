@@ -20,6 +20,7 @@ parameters, which are not part of the effect. An effect is requested by name and
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +43,7 @@ from control.kinematics.smooth_table import pieces
 from control.model.arm import Arm, Effect
 from control.model.effects import COUPLED, COUPLED_TO, EFFECTS, backlash_rad, compliance_rad, linear_values, moved_joint, place_of
 from control.model.maps import CorrectionMap
+from control.model.tolerances import TOLERANCE_OF, Spread
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -63,7 +65,7 @@ def _corrections(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> tuple[Co
     has = {(effect.effect, effect.joint): effect for effect in arm.effects}
     made = []
     for key in dict.fromkeys(effect_key(text, arm) for text in wanted):
-        before = has.get(key)
+        before, spread = has.get(key), _spread(arm, *key)
         starts = linear_values(key[0], before.parameters) if before is not None else ()
         for term, start in zip(LAWS[key[0]], chain(starts, repeat(0.0)), strict=False):
             slope = term.slope(at, key[1] or 0)
@@ -72,8 +74,27 @@ def _corrections(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> tuple[Co
                 whole = _of_joint(slope, joint, arm.joint_count)
                 bent = at.bent(key[1] or 0) if term.is_of_tip else None
                 tip, turn = (None, None) if bent is None else map(frozen, bent)
-                made.append(Correction(term.name(key[1]), term.unit, whole, term.bound, start, slope_m=tip, turn_rad=turn))
+                one = Correction(term.name(key[1]), term.unit, whole, term.bound, start, slope_m=tip, turn_rad=turn)
+                if spread is not None:  # a side parameter is a share of the effect, either way
+                    mean = 0.0 if term.is_side else spread.centre
+                    one = dataclasses.replace(one, sd=math.hypot(spread.sd_about, spread.centre - mean), made=mean)
+                made.append(one)
     return tuple(made)
+
+
+def _spread(arm: Arm, effect: str, joint: int | None) -> Spread | None:
+    """How exactly a part is made, where its tolerance is the effect's parameter; None: unknown."""
+    if arm.tolerances is None or joint is None or effect not in TOLERANCE_OF:
+        return None
+    spread: Spread | None = getattr(arm.tolerances.of_joint(joint), TOLERANCE_OF[effect])
+    return spread
+
+
+def made_effects(arm: Arm) -> tuple[str, ...]:
+    """The effects that an arm has by its tolerances, such as "backlash:2": they are there, and only how large is open."""
+    joints = range(1, arm.joint_count + 1)
+    pairs = ((effect, joint) for effect in TOLERANCE_OF for joint in joints if arm.is_behind_encoder(effect, joint))
+    return tuple(f"{effect}:{joint}" for effect, joint in pairs if _spread(arm, effect, joint) is not None)
 
 
 def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> Array:

@@ -20,7 +20,7 @@ from itertools import chain, combinations
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import Bounds, dh_parameters
+from calib.arm_problem.arm_model import ArmModel, Bounds, dh_parameters, prior_sd
 from calib.arm_problem.assembly import Choice, problem_of, started_tool, with_started_frames
 from calib.arm_problem.observations import Observations
 from calib.arm_problem.posed import PosedProblem
@@ -420,7 +420,7 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
         if _is_of_kind(supplied, arm) and not np.allclose(supplied.dh, arm.dh):
             yield _Candidate(arm.with_dh(supplied.dh), f"the arm {name}", f"if they are of {name}, give its file with --arm")
     yield from _a_tooth_off(arm)
-    within_m = [one.bound for one in dh_parameters(arm.dh, bounds)[::4]]
+    within_m = [one.bound for one in dh_parameters(ArmModel(arm), bounds)[::4]]
     for links in _subsets([k for k, d in enumerate(arm.dh[:, 0]) if 2.0 * abs(d) > within_m[k]]):
         dh = arm.dh.copy()
         dh[list(links), 0] *= -1.0
@@ -470,7 +470,8 @@ def _subsets(links: list[int]) -> Iterator[tuple[int, ...]]:
 def _fitted(problem: ArmProblem, size: float) -> _Fit:
     """The most probable deviations of an arm: Gauss-Newton's steps with Student's weights."""
     has_bound = np.array([one.has_bound for one in problem.parameters])
-    prior = np.diag(np.where(has_bound, size**-2, UNBOUNDED))
+    unit = prior_sd(problem.parameters, LARGEST, LARGEST) / LARGEST  # of a deviation: its bound, or twice its standard deviation
+    prior = np.diag(np.where(has_bound, (size * unit) ** -2, UNBOUNDED))
     x, scale_m, normal = np.zeros(len(prior)), np.inf, prior
     for _ in range(STEPS):
         residual, jacobian = problem.residuals_and_jacobian(x)
@@ -485,7 +486,7 @@ def _fitted(problem: ArmProblem, size: float) -> _Fit:
         if float(np.abs(step).max()) < STILL:
             break
     shown = float(np.sum(has_bound) - np.trace((prior @ np.linalg.inv(normal))[np.ix_(has_bound, has_bound)]))
-    square = float(np.sum(x[has_bound] ** 2))
+    square = float(np.sum((x / unit)[has_bound] ** 2))
     return _Fit(
         float(np.median(norms(problem.residuals(np.zeros(len(x)))))),
         float(np.sqrt(np.mean(norms(problem.references_m - problem.references_m.mean(axis=0)) ** 2))),

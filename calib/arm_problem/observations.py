@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +20,8 @@ class Correction:
 
     `slope_rad` (m, n) per unit of the parameter; e.g. the encoder angle itself for a scale, -flank / 2 for a backlash's
     width. `slope_m` (m, 3): displacement of the tip by the effect besides joint angles (flexure), and `turn_rad` (m, 3) turn of
-    the last link, base frame. `bound` and `typical` as of a Parameter.
+    the last link, base frame. `bound`, `typical`, `sd` as of a Parameter;
+    `made`: the value that the part was made to have.
     """
 
     name: str
@@ -30,6 +32,8 @@ class Correction:
     typical: float = 0.0
     slope_m: Array | None = None
     turn_rad: Array | None = None
+    sd: float = math.inf
+    made: float = 0.0
 
     def chosen(self, keep: npt.NDArray[np.intp]) -> Correction:
         """The correction at these poses."""

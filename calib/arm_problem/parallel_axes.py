@@ -48,7 +48,11 @@ def with_tilt_behind(arm: Arm, joint: int) -> Arm:
         else effect
         for effect in arm.effects
     )
-    return dataclasses.replace(arm, links=(*before, *added, *after), effects=effects)
+    made = arm.tolerances
+    if made is not None:
+        rows = [(link.d_m, link.theta_rad, link.L_m, link.alpha_rad) for link in added]
+        made = made.with_rows(row, rows, after[0].theta_rad - arm.links[row].theta_rad)
+    return dataclasses.replace(arm, links=(*before, *added, *after), effects=effects, tolerances=made)
 
 
 def in_the_same_rows(first: Arm, second: Arm) -> tuple[Arm, Arm]:

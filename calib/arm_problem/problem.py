@@ -93,7 +93,7 @@ class ArmProblem:
 
     def _every_parameter(self, bounds: Bounds, is_tool_free: bool) -> tuple[Parameter, ...]:
         """DH, tool, free frames, corrections: the order of the whole deviation vector."""
-        parameters = list(dh_parameters(self.model.nominal_dh, bounds))
+        parameters = list(dh_parameters(self.model, bounds))
         if is_tool_free:
             parameters += [
                 Parameter(name, "m", float(value), bounds.of_free(name, "m"))
@@ -105,7 +105,8 @@ class ArmProblem:
                 for name, unit in zip(frame.parameter_names, AXIS_UNITS, strict=True)
             ]
         parameters += [
-            Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical) for c in self.observed.corrections
+            Parameter(c.name, c.unit, c.nominal, bounds.own.get(c.name, c.bound), c.typical, c.sd, c.made - c.nominal)
+            for c in self.observed.corrections
         ]
         return tuple(parameters)
 

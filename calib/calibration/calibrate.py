@@ -13,7 +13,7 @@ import numpy as np
 from calib.arm_problem.assembly import BASE, BASE_FRAME, CAMERA, Choice, base_frame_of, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.frames import Frame, rotation_vector
-from calib.arm_problem.joint_effects import LAWS, effect_key, impossible, unclear_flanks, unphysical, with_effects
+from calib.arm_problem.joint_effects import LAWS, effect_key, impossible, made_effects, unclear_flanks, unphysical, with_effects
 from calib.arm_problem.posed import usual_noise_m
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen
@@ -77,12 +77,12 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     """Identify, find outliers, cross-validate, give a verdict. UnusablePointsError if the points allow no calibration."""
     advance("checking the points", 0.0)
     arm = with_own_base(arm) if BASE in plan.choice.fixed else arm  # so that its file says it, too
-    asked, plan = plan, replace(plan, choice=plan.choice.for_points(arm, points))
+    asked, plan = plan, replace(plan, choice=with_made_effects(plan.choice.for_points(arm, points), arm))
     problem = problem_of(arm, points, plan.choice)
     warnings = [
-        *([_about_frame(arm)] if BASE in plan.choice.freed and plan.choice != asked.choice else []),
+        *([_about_frame(arm)] if BASE in plan.choice.freed and BASE not in asked.choice.freed else []),
         *require_usable(arm, points, problem, plan.choice),
-        *unclear_flanks(arm, points, plan.choice.effects),
+        *unclear_flanks(arm, points, asked.choice.effects),
     ]
     advance("identifying", 0.1)
     problem, fit = identified(arm, points, plan)
@@ -143,6 +143,14 @@ def identified(arm: Arm, points: Points, plan: CalibrationPlan, rows: Mask | Non
         solution = replace(fit.solution, corrections={**fit.solution.corrections, **zero})
         return problem, replace(fit, solution=solution)
     return problem if rows is None else problem.of_rows(rows), fit
+
+
+def with_made_effects(choice: Choice, arm: Arm) -> Choice:
+    """With the effects that the arm has by its tolerances, such as the play of its gears, unless they are fixed: left out."""
+    names = {text: LAWS[effect][0].name(joint) for text in made_effects(arm) for effect, joint in [effect_key(text, arm)]}
+    left_out = {name for text, name in names.items() if name in choice.fixed and text not in choice.effects}
+    effects = (*choice.effects, *(text for text, name in names.items() if name not in choice.fixed))
+    return replace(choice, effects=tuple(dict.fromkeys(effects)), fixed=[name for name in choice.fixed if name not in left_out])
 
 
 def _about_frame(arm: Arm) -> str:

@@ -89,7 +89,7 @@ def calibrate_pair(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, ad
     advance("identifying", 0.1)
     problem, best = _identified(arms, contacts, placed.base, plan)
     x = best.x
-    estimation = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x))
+    estimation = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x), best.prior)
     calibrated, base = problem.solution(x)
     held = _held_out(arms, contacts, plan, advance)
     advance("done", 1.0)

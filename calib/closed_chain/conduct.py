@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from calib.arm_problem.arm_model import prior_sd
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.pair_problem import Contacts, PairProblem
@@ -288,7 +289,7 @@ class ContactWatch:
 
 def _predicted(problem: PairProblem) -> tuple[Array, Array]:
     """Of the last contact: its innovation (3,) [m] and covariance (3, 3) [m2], by all others."""
-    prior = np.array([PRIOR if p.has_bound else PRIOR_BASE for p in problem.parameters]) ** -2.0
+    prior = prior_sd(problem.parameters, PRIOR, PRIOR_BASE) ** -2.0
     x = np.zeros(len(prior))
     for _ in range(STEPS):
         residual, slopes = problem.of_contacts(x)

@@ -371,7 +371,7 @@ def with_geometry(arm: Arm, dh: Array, tool_m: Array) -> Arm:
 
 
 def _of_arm(name: str, arm: Arm, bounds: Bounds, free_tools: Collection[str]) -> list[Parameter]:
-    parameters = [dataclasses.replace(p, name=f"{name}_{p.name}") for p in dh_parameters(arm.dh, bounds)]
+    parameters = [dataclasses.replace(p, name=f"{name}_{p.name}") for p in dh_parameters(ArmModel(arm), bounds)]
     if name in free_tools:
         parameters += [
             Parameter(f"{name}_tool_{axis}", "m", value, math.inf) for axis, value in zip(AXES, arm.tool.position_m, strict=True)

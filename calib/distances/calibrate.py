@@ -192,7 +192,9 @@ def _placed(problem: DistanceProblem) -> list[Device]:
 def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Minimum) -> Identification:
     x, zero = best.x, np.zeros(len(best.x))
     before, after = problem.residuals(zero), problem.residuals(x)
-    estimation: Estimation = uncertainty(problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x)))
+    estimation: Estimation = uncertainty(
+        problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x)), best.prior
+    )
     dh, tool = problem.arm_at(x)
     tips_count = 0 if tips is None else len(tips.parameters)
     frames = (Frame.base(),) if tips is None else tips.solution(x[:tips_count]).frames

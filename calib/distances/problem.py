@@ -482,7 +482,7 @@ class DistanceProblem:
 
 
 def _of_the_arm(model: ArmModel, bounds: Bounds, is_tool_free: bool, tool_m: Array) -> tuple[Parameter, ...]:
-    parameters = list(dh_parameters(model.nominal_dh, bounds))
+    parameters = list(dh_parameters(model, bounds))
     if is_tool_free:
         parameters += [
             Parameter(name, "m", float(value), bounds.of_free(name, "m")) for name, value in zip(TOOL_NAMES, tool_m, strict=True)

@@ -37,12 +37,39 @@ class Quadratic:
 
 
 @dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of the scaled unknowns (k,) before the points: sum of weight (x - mean)^2 / 2 is added to the objective.
+
+    `square_m2`: the noise's variance over theirs, 0 where nothing is known; weight: the same times the objective's `curvature`.
+    """
+
+    mean: Array
+    square_m2: Array
+    curvature: float
+
+    @property
+    def weight(self) -> Array:
+        """(k,), in the objective's unit."""
+        return self.curvature * self.square_m2
+
+    @property
+    def rows(self) -> Array:
+        """As rows (k, 1, k) of a sensitivity, beside those of the points."""
+        return np.diag(np.sqrt(self.square_m2))[:, None, :]
+
+    def value(self, x: Array) -> float:
+        """At unknowns x (k,)."""
+        return 0.5 * float(self.weight @ (x - self.mean) ** 2)
+
+
+@dataclass(frozen=True, slots=True)
 class PoseSample:
-    """A sample of the poses: every `stride`-th."""
+    """A sample of the poses, every `stride`-th, and what is known beforehand, None: nothing."""
 
     problem: Problem
     objective: Objective
     stride: int = 1
+    prior: Prior | None = None
 
     def residuals(self, x: Array) -> Array:
         """(n, 3) [m]."""
@@ -50,7 +77,8 @@ class PoseSample:
 
     def value(self, x: Array) -> float:
         """The objective itself, over these poses."""
-        return self.value_of(self.residuals(x), 0.0)
+        value = self.value_of(self.residuals(x), 0.0)
+        return value if self.prior is None else value + self.prior.value(x) / self.stride
 
     def value_of(self, residuals: Array, smoothing_m: float) -> float:
         """The objective of residuals (n, 3), smoothed."""
@@ -203,6 +231,8 @@ class _Descent:
         self._here = sample.around(start, max(goal.first_smoothing * mean_m, 1e-14), None, goal.is_bent)
         typical = float(np.trace(self._here.gram)) / len(start)
         self._held = self._holding(typical)
+        prior = sample.prior
+        self._drawn = np.zeros(len(start)) if prior is None else prior.weight * prior.mean / sample.stride
         self._restoring = RESTORING * typical * len(start)
         self._hopeless = HOPELESS * typical
         self._damping, self._is_undamped = 0.0, False
@@ -212,6 +242,8 @@ class _Descent:
         k = len(self._here.x)
         trace = TRACE * self._sample.value_of(self._here.residuals, 0.0) / k
         held = (trace + 1e-15 * k * typical) * np.eye(k)
+        if (prior := self._sample.prior) is not None:
+            held += np.diag(prior.weight / self._sample.stride)
         return held if self._goal.anchor is None else held + self._goal.anchor
 
     def _merit(self, there: Quadratic) -> float:
@@ -219,7 +251,7 @@ class _Descent:
         return self._sample.value_of(there.residuals, self._here.smoothing_m) + self._regularisation(there)
 
     def _regularisation(self, there: Quadratic) -> float:
-        return 0.5 * float(there.x @ self._held @ there.x)
+        return float((0.5 * there.x @ self._held - self._drawn) @ there.x)
 
     def ended(self) -> SearchEnd:
         """Take steps until the predicted decrease is too small."""
@@ -262,7 +294,7 @@ class _Descent:
     def _step(self) -> tuple[Array, float]:
         """The minimising step in the box, and the predicted decrease."""
         here = self._here
-        gradient = here.gradient + self._held @ here.x
+        gradient = here.gradient + self._held @ here.x - self._drawn
         hessian = here.gram + here.curvature + self._held
         if self._goal.is_bent:
             hessian = _bent_up(hessian)
@@ -291,7 +323,7 @@ class _Descent:
         """Restoration: from the end of a long step along a curved valley, straight down to its floor."""
         d = step_in_box(
             there.gram + self._held + self._restoring * np.eye(len(there.x)),
-            there.gradient + self._held @ there.x,
+            there.gradient + self._held @ there.x - self._drawn,
             -self._limits - there.x,
             self._limits - there.x,
         )

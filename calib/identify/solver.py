@@ -8,19 +8,23 @@ change by the bound is less than the noise: none of them ends at a bound because
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
 import numpy as np
 
+from calib.arm_problem.arm_model import prior_sd
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.posed import WeightedProblem
 from calib.arrays import Array, norms
 from calib.errors import CalibrationError
-from calib.identify.descent import NOTHING_M, PoseSample, SearchEnd, Termination, descend
-from calib.identify.determinability import Sensitivity, null_space
+from calib.identify.descent import NOTHING_M, PoseSample, Prior, SearchEnd, Termination, descend
+from calib.identify.determinability import Sensitivity, determinability, null_space
+from calib.identify.noise import leverages, noise_scale
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
+from calib.settling import FITS_MOST, Settling
 
 # The constraint E <= k a of SpringerPlus 5:1771, eq. (4): the mean distance over the k points is at most a.
 #
@@ -121,6 +125,7 @@ def _matrices(bend: Array | None, count: int) -> Array:
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost
 # What counts as undetermined, tried in this order against that cost.
 RANK_TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9)
+SETTLED = 0.02  # of the noise's variance: a weight that is off by more moves a deviation by a noticeable share
 BETTER = 1e-9  # another start replaces the first only by more than this share
 # Factors on the number of starts: with active bounds, with several minima, with many active bounds.
 BOUND_STARTS, SEVERAL_STARTS, MANY_STARTS = 2, 6, 12
@@ -143,14 +148,15 @@ Equal = Literal["exactly", "by noise"]  # how closely two fits must agree to pre
 class Minimum:
     """Result of the search: unknowns x (k,), objective, and whether it converged.
 
-    `objective` is the requested one with its threshold; `value` is its value, without a constraint. `accuracy` is None
-    if none was requested.
+    `objective` is the requested one with its threshold; `value` is its value and that of the `prior`, without a constraint.
+    `accuracy` is None if none was requested.
     """
 
     x: Array
     value: float
     is_converged: bool
     objective: Objective
+    prior: Prior | None = None
     accuracy: Accuracy | None = None
 
     @property
@@ -177,11 +183,40 @@ def minimise(
     if accuracy_limit_m is not None and not 0.0 < accuracy_limit_m < np.inf:
         raise CalibrationError(f"average accuracy: expected a positive length in m, got {accuracy_limit_m}")
     wanted = settled(problem, objective, seed)
-    best = best_of_starts(problem, wanted, starts_count, seed)
-    minimum = _nearest_to_nominal(problem, wanted, best, equal)
+    prior = prior_of(problem, wanted)
+    best = best_of_starts(problem, wanted, starts_count, seed, prior)
+    minimum = _nearest_to_nominal(PoseSample(problem, wanted, prior=prior), best, equal)
     if accuracy_limit_m is None:
         return minimum
     return _constrained(problem, minimum, accuracy_limit_m, starts_count, seed)
+
+
+def prior_of(problem: Problem, objective: Objective) -> Prior | None:
+    """How exactly the arm's parts are made, against the noise that it leaves; None where nothing is known.
+
+    Of normal errors of variance v about the fit, and of deviations of standard deviation s, the most probable deviations have
+    J'J / v + 1 / s^2 as the Hessian. The objective's is curvature J'J, so that 1 / s^2 has the weight curvature v. What the model
+    lacks, such as play, is no noise of the measurement, but scatters as one: v is that of the residuals, as the fit leaves them.
+    It is found from above, beginning at nominal: where points are few, an exact fit of them is no sign of exact points.
+    """
+    sd = prior_sd(problem.parameters, math.inf, math.inf)
+    if not np.isfinite(sd).any():
+        return None
+    x = np.zeros(len(sd))
+    prior = Prior(np.array([parameter.made / parameter.scale for parameter in problem.parameters]), x, 1.0)
+    noise = noise_scale(objective, problem.residuals(x), np.zeros((len(problem), 3, 3)))
+    settling = Settling(FITS_MOST)
+    while noise.variance_m2 > 0.0 and settling.goes_on:
+        prior = replace(prior, square_m2=noise.variance_m2 / sd**2, curvature=noise.curvature)
+        sample = PoseSample(problem, objective, prior=prior)
+        x = descend(sample, x, _fine(sample)).x
+        sensitivity, before = Sensitivity.at(problem, x), noise.variance_m2
+        spread = determinability(_known(sensitivity.compact, prior), problem.parameters).spread
+        shares = np.concatenate([leverages(part, spread) for _, part in sensitivity.blocks()])
+        noise = noise_scale(objective, sample.residuals(x), shares)
+        change = abs(math.log(noise.variance_m2 / before)) if noise.variance_m2 > 0.0 else 0.0
+        settling.takes(change, SETTLED)
+    return prior
 
 
 def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
@@ -195,7 +230,7 @@ def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
 def _constrained(problem: Problem, minimum: Minimum, limit_m: float, starts_count: int, seed: int) -> Minimum:
     """The minimum subject to a mean distance of at most limit_m."""
     mean_m = _mean_m(problem, minimum.x)
-    is_distance = isinstance(minimum.objective, SumOfDistances)
+    is_distance = isinstance(minimum.objective, SumOfDistances) and minimum.prior is None
     if mean_m <= limit_m or is_distance:
         return replace(minimum, accuracy=Accuracy(limit_m, mean_m, mean_m if is_distance else None))
     closest = minimise(problem, SumOfDistances(), starts_count, seed)
@@ -217,7 +252,7 @@ def _multiplied(problem: Problem, minimum: Minimum, closest: Array, limit_m: flo
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         objective = WithDistances(minimum.objective, middle * per_distance)
-        sample = PoseSample(problem, objective)
+        sample = PoseSample(problem, objective, prior=minimum.prior)
         start = descend(sample, start, _fine(sample)).x
         mean_m = _mean_m(problem, start)
         if mean_m > limit_m:
@@ -231,7 +266,7 @@ def _multiplied(problem: Problem, minimum: Minimum, closest: Array, limit_m: flo
 
 def _instead(problem: Problem, minimum: Minimum, x: Array, accuracy: Accuracy) -> Minimum:
     """The same minimum record at another point."""
-    return replace(minimum, x=x, value=PoseSample(problem, minimum.objective).value(x), accuracy=accuracy)
+    return replace(minimum, x=x, value=PoseSample(problem, minimum.objective, prior=minimum.prior).value(x), accuracy=accuracy)
 
 
 def _mean_m(problem: Problem, x: Array) -> float:
@@ -239,23 +274,24 @@ def _mean_m(problem: Problem, x: Array) -> float:
     return float(np.mean(norms(PoseSample(problem, SumOfDistances()).residuals(x))))
 
 
-def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int) -> Minimum:
+def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int, prior: Prior | None = None) -> Minimum:
     """The best of all searches; undetermined unknowns may be anywhere.
 
     Covariances have the axes of a frame that is itself identified, and their weights those of its start: what turns arm and
     frame together must not turn. It stays at nominal then; else the search turns everything to where the weights are least.
     """
     k = len(problem.parameters)
-    held = _undetermined(problem) if isinstance(problem, WeightedProblem) else None
     bounded = np.array([parameter.has_bound for parameter in problem.parameters])
     draw = np.random.default_rng(seed)
-    few = PoseSample(problem, objective, max(1, len(problem) // (POSES_PER_UNKNOWN * k)))
+    whole = PoseSample(problem, objective, prior=prior)
+    held = _undetermined(problem) if isinstance(problem, WeightedProblem) else None
+    few = replace(whole, stride=max(1, len(problem) // (POSES_PER_UNKNOWN * k)))
     ends = _Ends(few)
     rough = _rough(few, np.zeros(k), held)
     ends.is_new(rough.x)
     if few.stride > 1:
         ends.is_lead(_descended(few, rough.x, _fine(few), held).x)
-    best = _finished(problem, objective, rough, held)
+    best = _finished(whole, rough, held)
     limit = starts_count * _times(int(np.sum(np.abs(best.x[bounded]) >= 1.0)))
     done = 1
     while done < limit:
@@ -267,7 +303,7 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
             rough = _descended(few, rough.x, _fine(few), held)
             if not ends.is_lead(rough.x):
                 continue
-        minimum = _finished(problem, objective, rough, held)
+        minimum = _finished(whole, rough, held)
         if abs(minimum.value - best.value) > DIFFERENT * best.value:
             limit = max(limit, starts_count * SEVERAL_STARTS)
         if minimum.value < best.value * (1.0 - BETTER):
@@ -319,19 +355,24 @@ def _undetermined(problem: Problem) -> Array:
     return null_space(Sensitivity.at(problem, np.zeros(len(problem.parameters))).compact, problem.parameters, RANK_TOLERANCES[0])
 
 
+def _known(seen: Array, prior: Prior | None) -> Array:
+    """A sensitivity (m, 3, k) or (n, 1, k) of the points, beside what is known beforehand, as rows (r, 1, k)."""
+    return seen if prior is None else np.concatenate((seen.reshape(-1, 1, seen.shape[2]), prior.rows))
+
+
 def _rough(sample: PoseSample, start: Array, held: Array | None) -> SearchEnd:
     """A search with a coarse tolerance."""
     if not isinstance(sample.objective, LeastSquares):
-        fit = replace(sample, objective=LeastSquares())
+        prior = sample.prior and replace(sample.prior, curvature=1.0)
+        fit = replace(sample, objective=LeastSquares(), prior=prior)
         start = _descended(fit, start, FIT, held).x
     return _descended(sample, start, ROUGH, held)
 
 
-def _finished(problem: Problem, objective: Objective, rough: SearchEnd, held: Array | None) -> Minimum:
+def _finished(sample: PoseSample, rough: SearchEnd, held: Array | None) -> Minimum:
     """The search to convergence on all poses."""
-    sample = PoseSample(problem, objective)
     end = _descended(sample, rough.x, _fine(sample), held)
-    return Minimum(end.x, sample.value(end.x), end.is_converged, objective)
+    return Minimum(end.x, sample.value(end.x), end.is_converged, sample.objective, sample.prior)
 
 
 def _descended(sample: PoseSample, start: Array, goal: Termination, held: Array | None) -> SearchEnd:
@@ -349,12 +390,12 @@ def _fine(sample: PoseSample) -> Termination:
     return replace(FINE, last_smoothing=FINE.last_smoothing * max(1.0, share))
 
 
-def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, equal: Equal) -> Minimum:
+def _nearest_to_nominal(sample: PoseSample, best: Minimum, equal: Equal) -> Minimum:
     """The fit with undetermined combinations back at nominal, as far as the allowed cost permits."""
+    problem, objective = sample.problem, sample.objective
     # With very many poses, a sample gives the null space; the cost is evaluated on all.
     stride = max(1, len(problem) // NULL_POSES)
     residuals, jacobian = problem.residuals_and_jacobian(best.x, slice(None, None, stride))
-    sample = PoseSample(problem, objective)
     goal = _fine(sample)
     stiffness = stride * _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full((len(problem), 3), NOTHING_M)), 0.0)
@@ -365,7 +406,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
     ways = [(sensitivity, RANK_TOLERANCES[0], noise_m)] if noise_m else []
     ways += [(way, tolerance, 0.0) for way, tolerance in product((sensitivity, jacobian), RANK_TOLERANCES)]
     for derivative, rank_tolerance, least_m in ways:
-        null = null_space(derivative, problem.parameters, rank_tolerance, least_m)
+        null = null_space(_known(derivative, sample.prior), problem.parameters, rank_tolerance, least_m)
         if null.shape[1] == tried:
             continue
         tried = null.shape[1]
@@ -373,7 +414,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
         value = sample.value(end.x)
         cost = COST_OF_NEARNESS if equal == "exactly" else _gain_by_noise(problem, tried)
         if value <= max(best.value * (1.0 + cost), nothing):
-            return Minimum(end.x, value, end.is_converged, objective)
+            return replace(best, x=end.x, value=value, is_converged=end.is_converged)
     return best
 
 

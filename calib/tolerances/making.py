@@ -8,12 +8,12 @@ terms of the tip.
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Final, Literal
 
-import msgspec
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel, dh_names
@@ -24,101 +24,32 @@ from calib.errors import CalibrationError
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import encoder_steps_rad
 from control.dynamics.static_pose import resting
-from control.files import read_text
+from control.files import parsed_toml, read_text
 from control.kinematics import chain
 from control.model.arm import Arm
+from control.model.drive import NonNegative
 from control.model.effects import backlash_rad, compliance_rad
-from control.strict_toml import Fault, converted, table_as
+from control.model.reader import Rejected, read_table
+from control.model.rules import Rule
+from control.model.tolerances import JointTolerances, Spread, Tolerances, check_tolerances, spreads
 
-# tolerances.toml: how exactly each part of an arm is made, as distributions; `armwright arm --keys tolerances` prints the keys.
-#
-# Strict: an unknown key, a wrong type, a part that the arm does not have, or a number that is not finite is
-# one error.
-
-
-NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-T = TypeVar("T", bound=msgspec.Struct)
+# tolerances.toml: the tables of [tolerances] in arm.toml (control.model.tolerances), and how the arm will be calibrated.
 
 
 class TolerancesFileError(CalibrationError):
     """An invalid tolerances.toml; the message names file and key."""
 
 
-class Spread(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A distribution: anywhere within +- `within` of `mean`; normal with `sd` about `mean`; or anywhere in `from` .. `to`."""
-
-    within: NotNegative | None = None
-    sd: NotNegative | None = None
-    mean: float = 0.0
-    lowest: float | None = msgspec.field(name="from", default=None)
-    highest: float | None = msgspec.field(name="to", default=None)
-
-    def __post_init__(self) -> None:
-        """Exactly one kind of distribution."""
-        is_range = self.lowest is not None or self.highest is not None
-        if (self.within is not None) + (self.sd is not None) + is_range != 1:
-            raise ValueError("expected one of { within }, { sd } or { from, to }")
-        if is_range:
-            if self.lowest is None or self.highest is None or self.mean != 0.0:
-                raise ValueError("expected { from, to }, both and without mean")
-            if self.lowest > self.highest:
-                raise ValueError(f"expected from <= to, got {self.lowest:g} and {self.highest:g}")
-
-    @property
-    def least(self) -> float:
-        """The smallest value that it gives."""
-        if self.lowest is not None:
-            return self.lowest
-        return self.mean - (self.within if self.within is not None else math.inf if self.sd else 0.0)
-
-    def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Values (count,)."""
-        if self.sd is not None:
-            return self.mean + self.sd * rng.standard_normal(count)
-        if self.lowest is not None and self.highest is not None:
-            return rng.uniform(self.lowest, self.highest, count)
-        return self.mean + (self.within or 0.0) * rng.uniform(-1.0, 1.0, count)
-
-
-class LinkTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Deviations of every link's DH parameters from arm.toml, and its bending stiffness."""
-
-    d_m: Annotated[Spread | None, "deviation from arm.toml"] = None
-    theta_rad: Annotated[Spread | None, "the same"] = None
-    L_m: Annotated[Spread | None, "the same"] = None
-    alpha_rad: Annotated[Spread | None, "the same"] = None
-    EI_Nm2: Annotated[Spread | None, "bending stiffness of a link of 50 mm or more; above 0"] = None
-
-
-class JointTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is between every joint's motor, its encoder and its link."""
-
-    encoder_zero_rad: Annotated[Spread | None, "deviation of the joint's zero"] = None
-    encoder_scale: Annotated[Spread | None, "the joint turns (1 + scale) times the encoder's reading"] = None
-    encoder_eccentricity_rad: Annotated[Spread | None, "amplitude, not below 0; the phase is anywhere"] = None
-    gear_eccentricity_rad: Annotated[Spread | None, "the same"] = None
-    gear_waves_per_turn: Annotated[Positive, "of the gear's eccentricity, in one turn of the joint"] = 1.0
-    backlash_rad: Annotated[Spread | None, "total play, not below 0"] = None
-    stiffness_Nm_rad: Annotated[Spread | None, "of gear, shaft or belt; above 0"] = None
-
-
-class ToolTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Deviations of the tip in the last frame."""
-
-    x_m: Annotated[Spread | None, "deviation from arm.toml"] = None
-    y_m: Annotated[Spread | None, "the same"] = None
-    z_m: Annotated[Spread | None, "the same"] = None
-
-
-class CalibrationTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+@dataclass(frozen=True, slots=True)
+class CalibrationTable:
     """How the arm will be calibrated."""
 
-    poses: Annotated[int, msgspec.Meta(ge=10, le=5000), "that will be measured"] = 60
-    noise_m: Annotated[NotNegative | None, "standard deviation of one axis of the measured tip", "that of [camera]"] = None
+    poses: Annotated[int, Rule("a whole number from 10 to 5000", lambda count: 10 <= count <= 5000), "that will be measured"] = 60
+    noise_m: Annotated[NonNegative | None, "standard deviation of one axis of the measured tip", "that of [camera]"] = None
 
 
-class TolerancesFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+@dataclass(frozen=True, slots=True)
+class TolerancesFile(Tolerances):
     """A tolerances.toml: how exactly parts are made. Without a tolerance a part is exact.
 
     A spread is { within = 2e-4 } (uniform, +-) or { sd = 1e-4 } (normal), both optionally with mean; or
@@ -126,29 +57,20 @@ class TolerancesFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     name: Annotated[str, "for you"] = ""
-    every_link: LinkTolerances = LinkTolerances()
-    every_joint: JointTolerances = JointTolerances()
-    link: Annotated[dict[str, dict[str, object]], "[link.2]: keys of [every_link], for that link"] = {}
-    joint: Annotated[dict[str, dict[str, object]], "[joint.3]: keys of [every_joint], for that joint"] = {}
-    tool: ToolTolerances = ToolTolerances()
     calibration: CalibrationTable = CalibrationTable()
 
+    @property
+    def poses(self) -> int:
+        """That the calibration measures."""
+        return self.calibration.poses
 
-class Tolerances(msgspec.Struct, frozen=True):
-    """The file's content for one arm: `links` and `joints` in the arm's order, with what every one of them has."""
-
-    name: str
-    links: tuple[LinkTolerances, ...]
-    joints: tuple[JointTolerances, ...]
-    tool: ToolTolerances
-    poses: int
-    noise_m: float
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of one axis of a measured tip."""
+        return self.calibration.noise_m or 0.0
 
 
 OF_TRANSMISSION = ("gear_eccentricity_rad", "backlash_rad", "stiffness_Nm_rad")
-NOT_NEGATIVE = ("encoder_eccentricity_rad", "gear_eccentricity_rad", "backlash_rad")
-POSITIVE = ("stiffness_Nm_rad", "EI_Nm2")
-RANGE = "such as { from = ..., to = ... }"
 
 
 def tolerances_text(path_or_name: str) -> str:
@@ -161,66 +83,31 @@ def tolerances_text(path_or_name: str) -> str:
         raise TolerancesFileError(f"{path_or_name}: cannot be read: {reason}") from None
 
 
-def parse_tolerances(text: str, where: str, arm: Arm) -> Tolerances:
+def parse_tolerances(text: str, where: str, arm: Arm) -> TolerancesFile:
     """Tolerances from TOML text; `where` names it in errors."""
-
-    def fault(what: str) -> Exception:
-        hint = ", such as { within = 2e-4 }" if "Expected a table" in what else ""
-        return TolerancesFileError(f"{where}: {what}{hint}")
-
-    document = converted(text, TolerancesFile, fault)
-    links = _of_each(document.link, document.every_link, LinkTolerances, len(arm.links), "link", fault)
-    joints = _of_each(document.joint, document.every_joint, JointTolerances, arm.joint_count, "joint", fault)
-    named: list[tuple[str, msgspec.Struct]] = [(f"link.{k}", one) for k, one in enumerate(links, 1)]
-    named += [(f"joint.{k}", one) for k, one in enumerate(joints, 1)]
-    for name, table in named:
-        _require_possible(table, name, fault)
-    if not any(spreads(table) for _, table in (*named, ("tool", document.tool))):
-        raise fault("no tolerance: expected some in [every_link], [every_joint], [link.2], [joint.1] or [tool]")
-    noise_m = _noise_m(document.calibration, arm, fault)
-    return Tolerances(document.name, links, joints, document.tool, document.calibration.poses, noise_m)
-
-
-def spreads(table: msgspec.Struct) -> list[tuple[str, Spread]]:
-    """The distributions of a table, by key."""
-    values = ((key, getattr(table, key)) for key in table.__struct_fields__)
-    return [(key, value) for key, value in values if isinstance(value, Spread)]
-
-
-def _of_each(tables: dict[str, dict[str, object]], every: T, kind: type[T], count: int, what: str, fault: Fault) -> tuple[T, ...]:
-    """The table of each link or joint: `every`, and what its own table says instead."""
-    known = [str(k) for k in range(1, count + 1)]
-    for name in tables:
-        if name not in known:
-            raise fault(f"[{what}.{name}]: expected a number from 1 to {count}: the arm has {count} {what}s")
-    overrides = [table_as(tables.get(name, {}), kind, fault, f"{what}.{name}") for name in known]
-    return tuple(
-        msgspec.structs.replace(every, **{key: getattr(one, key) for key in tables.get(name, {})})
-        for name, one in zip(known, overrides, strict=True)
-    )
-
-
-def _require_possible(table: msgspec.Struct, name: str, fault: Fault) -> None:
-    for key, spread in spreads(table):
-        if key in NOT_NEGATIVE and spread.least < 0.0:
-            raise fault(f"[{name}] {key}: {_reaches(spread)}; expected no value below 0, {RANGE}")
-        if key in POSITIVE and spread.least <= 0.0:
-            raise fault(f"[{name}] {key}: {_reaches(spread)}; expected values above 0, {RANGE}")
-
-
-def _reaches(spread: Spread) -> str:
-    return "a normal distribution has no end" if spread.sd else f"it reaches down to {spread.least:g}"
-
-
-def _noise_m(table: CalibrationTable, arm: Arm, fault: Fault) -> float:
-    if table.noise_m is not None:
-        return table.noise_m
-    if arm.camera is not None:
-        return arm.camera.position_noise_m
-    raise fault(
-        f"[calibration] noise_m is missing, and arm {arm.name} has no [camera]: expected the standard deviation of one axis of"
-        " the measured tip in m"
-    )
+    try:
+        made = read_table(TolerancesFile, parsed_toml(text))
+        check_tolerances(made, len(arm.links), arm.joint_count, Rejected)
+    except tomllib.TOMLDecodeError as error:
+        raise TolerancesFileError(f"{where}: not valid TOML: {error}") from error
+    except Rejected as error:
+        hint = f" ({error.hint})" if error.hint else ""
+        hint = ", such as { within = 2e-4 }" if error.expected == "a table" else hint
+        place = ".".join(map(str, error.path))
+        raise TolerancesFileError(f"{where}: {place}: expected {error.expected}, got {error.got}{hint}") from None
+    tables = (made.every_link, made.every_joint, *made.link.values(), *made.joint.values(), made.tool)
+    if not any(map(spreads, tables)):
+        raise TolerancesFileError(
+            f"{where}: no tolerance: expected some in [every_link], [every_joint], [link.2], [joint.1] or [tool]"
+        )
+    if made.calibration.noise_m is not None:
+        return made
+    if arm.camera is None:
+        raise TolerancesFileError(
+            f"{where}: [calibration] noise_m is missing, and arm {arm.name} has no [camera]: expected the standard deviation of"
+            " one axis of the measured tip in m"
+        )
+    return replace(made, calibration=replace(made.calibration, noise_m=arm.camera.position_noise_m))
 
 
 # The linear parameters of a made arm: DH deviations, the tool, and what joints and links do beside them;
@@ -403,8 +290,8 @@ class MadeArms:
 
     def _link_factors(self, tolerances: Tolerances) -> Iterator[Factor]:
         bend = beams(self.arm)
-        for number, table in enumerate(tolerances.links, 1):
-            for key, spread in spreads(table):
+        for number in range(1, len(self.arm.links) + 1):
+            for key, spread in spreads(tolerances.of_link(number)):
                 if key in GEOMETRY:
                     place = 4 * (number - 1) + GEOMETRY.index(key)
                     yield Factor(f"link {number}: {_words(key)}", spread, (place,), is_deviation=True)
@@ -418,7 +305,8 @@ class MadeArms:
     def _joint_factors(self, tolerances: Tolerances) -> Iterator[Factor]:
         thetas = ArmModel(self.arm).theta_places
         laws = {key: (kind, is_inverse) for key, kind, is_inverse, *_ in LAWS}
-        for number, table in enumerate(tolerances.joints, 1):
+        for number in range(1, self.arm.joint_count + 1):
+            table = tolerances.of_joint(number)
             for key, spread in spreads(table):
                 if key in OF_TRANSMISSION and not self.arm.is_behind_encoder("backlash", number):
                     continue  # its encoder, on the joint, sees what the gear does
@@ -452,7 +340,7 @@ class MadeArms:
 
 
 def _waves(key: str, table: JointTolerances) -> float:
-    return table.gear_waves_per_turn if key == "gear_eccentricity_rad" else 1.0
+    return (table.gear_waves_per_turn or 1.0) if key == "gear_eccentricity_rad" else 1.0
 
 
 def _words(key: str) -> str:

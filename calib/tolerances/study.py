@@ -15,7 +15,7 @@ from calib.arrays import Array
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
 from calib.studies import Results, task_rng
-from calib.tolerances.making import STEPS, MadeArms, MadePoses, Tolerances, TolerancesFileError
+from calib.tolerances.making import STEPS, MadeArms, MadePoses, TolerancesFile, TolerancesFileError
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import UNIFORM
 from control.model.arm import Arm
@@ -104,7 +104,7 @@ class StudyDesign:
     """
 
     arm: Arm
-    tolerances: Tolerances
+    tolerances: TolerancesFile
     calibration: Conditions
     map: Conditions
     arms_count: int
@@ -127,7 +127,7 @@ class StudyDesign:
 
 
 def design_of(
-    arm: Arm, tolerances: Tolerances, arms_count: int, payload_kg: float = 0.0, recorded_q: Array | None = None, seed: int = 0
+    arm: Arm, tolerances: TolerancesFile, arms_count: int, payload_kg: float = 0.0, recorded_q: Array | None = None, seed: int = 0
 ) -> StudyDesign:
     """A study of `arms_count` arms. `recorded_q` (m, n): poses of the calibration; else they are spread over the workspace."""
     rng = np.random.default_rng(POSES_SEED)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import ArmModel, dh_names
+from calib.arm_problem.arm_model import ArmModel, dh_names, prior_sd
 from calib.arm_problem.frames import cross_matrix
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arrays import Array
@@ -65,7 +65,7 @@ def posterior_of(problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, 
     """The posterior of the poses `at` that `problem` holds; of the rows `used` (m,) alone, if given."""
     rows = np.ones(len(problem), dtype=bool) if used is None else used
     x = np.zeros(len(problem.parameters))
-    variance = np.array([UNIFORM if one.has_bound else 1.0 for one in problem.parameters])
+    variance = prior_sd(problem.parameters, math.sqrt(UNIFORM), 1.0) ** 2
     logs: Array | None = None
     loose_m2 = np.zeros((len(problem), 3, 3))
     for _ in range(ROUNDS):

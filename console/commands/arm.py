@@ -61,7 +61,7 @@ def _keys(name: str) -> int:
     others: dict[str, Callable[[], Sequence[FileSection]]] = {
         "cell": partial(sections, CellFile),
         "scenario": scenario,
-        "tolerances": partial(sections, TolerancesFile),
+        "tolerances.toml": partial(sections, TolerancesFile),
         "armlog": columns,
     }
     sys.stdout.write(reference_text(name, others))

@@ -29,6 +29,7 @@ from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
 from control.model.maps import CorrectionMap
+from control.model.tolerances import ArmTolerances
 
 if TYPE_CHECKING:
     import numpy as np
@@ -221,6 +222,7 @@ class Arm:
     rest: Annotated[Rest | None, ""] = None
     limits: Annotated[Limits, ""] = USUAL_LIMITS
     recording: Annotated[RecordingPolicy, ""] = USUAL_RECORDING
+    tolerances: Annotated[ArmTolerances | None, ""] = None
     calibration: Annotated[Calibration | None, ""] = None
     spare_tools: tuple[Tool, ...] = field(default=(), metadata={"key": ""})  # the other [[tool]]s of the file
     path: Path | None = field(default=None, compare=False, metadata={"key": ""})
@@ -271,7 +273,7 @@ class Arm:
         return table
 
     def with_dh(self, dh: "ArrayLike") -> "Arm":
-        """Return the same arm with another DH table (links, 4)."""
+        """Return the same arm with another DH table (links, 4); its parts were made to the one that it had first."""
         import numpy as np
 
         table = np.asarray(dh, dtype=np.float64)
@@ -281,7 +283,10 @@ class Arm:
             dataclasses.replace(link, d_m=d, theta_rad=theta, L_m=length, alpha_rad=alpha)
             for link, (d, theta, length, alpha) in zip(self.links, table.tolist(), strict=True)
         )
-        return dataclasses.replace(self, links=links)
+        made = self.tolerances
+        if made is not None and not made.about:
+            made = dataclasses.replace(made, about=tuple((k.d_m, k.theta_rad, k.L_m, k.alpha_rad) for k in self.links))
+        return dataclasses.replace(self, links=links, tolerances=made)
 
     def drive(self, joint: int) -> Drive:
         """Return the drive of a joint (1-based); MissingModel if the file has none."""

@@ -15,6 +15,7 @@ from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
 from control.model.servos import SERVOS
+from control.model.tolerances import check_tolerances, spreads
 
 LONGEST_JOG_SILENCE_S = 0.5
 DIGITAL_MOST = 32
@@ -46,6 +47,7 @@ def check_arm(arm: Arm) -> None:
         _check_stream(arm.camera.stream)
     _check_effects(arm)
     _check_maps(arm)
+    _check_tolerances(arm)
     check_plausible(arm)
 
 
@@ -479,3 +481,19 @@ def _check_maps(arm: Arm) -> None:
     _check_unique(
         ((("map", i, "over"), (one.joint, one.corrects, one.over)) for i, one in enumerate(arm.maps)), "each map once per joint"
     )
+
+
+def _check_tolerances(arm: Arm) -> None:
+    def fault(path: tuple[str | int, ...], expected: str, got: str) -> Rejected:
+        return Rejected(("tolerances", *path), expected, got)
+
+    made = arm.tolerances
+    if made is None:
+        return
+    if made.about and len(made.about) != len(arm.links):
+        raise fault(("about",), f"a row for each of the {len(arm.links)} links", f"{len(made.about)} of them")
+    check_tolerances(made, len(arm.links), arm.joint_count, fault)
+    for number in range(1, len(arm.links) + 1):
+        for key, spread in spreads(made.of_link(number)):
+            if spread.sd_about == 0.0:
+                raise fault(("every_link", key), "a deviation above 0; without the key it is unknown", "0")

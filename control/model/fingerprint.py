@@ -34,6 +34,7 @@ NOT_COMPARED: Final = frozenset(
         "gripper",
         "link.joint_name",
         "link.link_name",
+        "tolerances",
         "camera.udp_port",
         "camera.position_noise_m",
         "camera.orientation_noise_rad",

@@ -19,6 +19,7 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.reader import keys_of
 from control.model.rules import Rule
+from control.model.tolerances import Spread
 
 REQUIRED = "required"  # as a default
 NOT_A_KEY: Final = "set by the reader"  # as an annotation of a Struct's field
@@ -117,7 +118,7 @@ def _sections(header: str, kind: type[Any]) -> Iterator[FileSection]:
     keys: list[Key] = []
     for name, field in _fields(kind):
         table, is_list = _table_in(hints[field.name])
-        is_value = table is not None and issubclass(table, msgspec.Struct) and _notes(hints[field.name])[0]  # in braces
+        is_value = table is not None and issubclass(table, msgspec.Struct | Spread) and _notes(hints[field.name])[0]  # in braces
         if table is None or is_value:
             keys.append(_key(name, field, hints[field.name]))
             continue

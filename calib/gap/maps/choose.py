@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
+from calib.arm_problem.arm_model import prior_sd
 from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.joint_effects import along, node_values, spline_columns
 from calib.arm_problem.problem import ArmProblem
@@ -25,7 +26,7 @@ from calib.arrays import Array, Mask, rms
 from calib.calibration.calibrate import with_base_frame
 from calib.gap.effects.record import load_of
 from calib.gap.finding import MapCheck
-from calib.gap.poses.linear import FREE_PRECISION, Fit, along_joint, by_joints
+from calib.gap.poses.linear import Fit, FREE_sd, along_joint, by_joints
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.posterior.constants import LARGE, PAYS, CHECKED_sd, SURE_sd
 from calib.identify.objective import LeastSquares
@@ -385,7 +386,7 @@ def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, mapp
         columns = candidate.columns(there.place(candidate.joint, candidate.over), there.direction(candidate.joint)).toarray()
         moved = there.by_joint[:, :, candidate.joint - 1, None] * columns[:, None, :]
         tables.append(moved.reshape(rows, -1) * (USUAL_rad / noise))
-    precision = np.array([1.0 if parameter.has_bound else FREE_PRECISION for parameter in problem.parameters])
+    precision = prior_sd(problem.parameters, 1.0, FREE_sd) ** -2.0
     return MapRows(
         residual.ravel() / noise,
         -jacobian.reshape(rows, -1) / noise,

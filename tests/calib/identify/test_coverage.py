@@ -8,7 +8,8 @@ import pytest
 
 from benchmarks.calibration.coverage import Session, studied
 from calib.identify.determinability import Sensitivity
-from calib.identify.identification import leverages, noise_scale, uncertainty
+from calib.identify.identification import uncertainty
+from calib.identify.noise import leverages, noise_scale
 from calib.identify.objective import Huber, LeastSquares, SumOfCoordinates, SumOfDistances
 from tests.calib.simulated import RIGHT, board_points, problem_of, true_dh
 

@@ -15,7 +15,7 @@ from calib.calibration.calibrate import CalibrationPlan, calibrate, points_in_ba
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify
 from calib.identify.objective import objective_named
-from calib.identify.solver import best_of_starts
+from calib.identify.solver import best_of_starts, prior_of
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import COVARIANCE, Points, make_points, matrices_of, triangles
 from calib.points.reading import read_points
@@ -181,9 +181,11 @@ def test_a_bad_covariance_names_line_and_column(text: str, says: str, tmp_path: 
     assert says in str(caught.value)
 
 
-def test_a_search_does_not_turn_the_arm_to_where_weights_are_least() -> None:
+@pytest.mark.parametrize("is_known", [False, True], ids=["", "with tolerances"])
+def test_a_search_does_not_turn_the_arm_to_where_weights_are_least(is_known: bool) -> None:
     """A board on a loose arm: camera and base could turn together, which no tip feels, but weights that stand still would."""
     arm, rng = load_arm("so101"), np.random.default_rng(7)
+    arm = arm if is_known else dataclasses.replace(arm, tolerances=None)
     lower, upper = np.array(arm.limits_rad).T
     q = rng.uniform(0.5 * lower, 0.5 * upper, (POSES, 5))
     at = ForwardKinematics(arm).link_transforms(q + rng.choice([-0.0087, 0.0087], q.shape))[:, -1]
@@ -200,6 +202,7 @@ def test_a_search_does_not_turn_the_arm_to_where_weights_are_least() -> None:
         covariance=np.tile(np.concatenate(covariance), (POSES, 1)),
     )
     whole = whole_problem(problem_of(arm, points, Choice(freed=("camera", "tool"))))
-    best = best_of_starts(whole, objective_named("e2"), 1, 0)
+    objective = objective_named("e2")
+    best = best_of_starts(whole, objective, 1, 0, prior_of(whole, objective))
     turns = [k for k, parameter in enumerate(whole.parameters) if parameter.name in ("theta1", "alpha1", "theta2")]
     assert np.abs(best.x[turns]).max() < 1e-3

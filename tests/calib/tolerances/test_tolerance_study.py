@@ -16,7 +16,7 @@ from calib.tolerances.making import (
     MadeArms,
     MadePoses,
     MakingTerm,
-    Tolerances,
+    TolerancesFile,
     TolerancesFileError,
     parse_tolerances,
     tolerances_text,
@@ -31,7 +31,7 @@ GEOMETRY = "[every_link]\nL_m = { within = 1e-3 }\ntheta_rad = { within = 5e-3 }
 ALL = parse_tolerances(tolerances_text("right"), "right", ARM)
 
 
-def tolerances(text: str, arm: Arm = ARM) -> Tolerances:
+def tolerances(text: str, arm: Arm = ARM) -> TolerancesFile:
     return parse_tolerances(text, "t.toml", arm)
 
 

@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.tolerances.making import Spread, TolerancesFileError, parse_tolerances, tolerances_text
+from calib.tolerances.making import TolerancesFileError, parse_tolerances, tolerances_text
 from control.model.description import load_arm
+from control.model.tolerances import Spread
 
 ARM = load_arm("right")
 
 
 def test_the_supplied_example_is_for_the_supplied_arm() -> None:
     tolerances = parse_tolerances(tolerances_text("right"), "right", ARM)
-    assert (len(tolerances.links), len(tolerances.joints)) == (4, 3)
-    assert tolerances.joints[0].stiffness_Nm_rad == Spread(lowest=3000.0, highest=6000.0)
-    assert tolerances.joints[2].stiffness_Nm_rad == Spread(lowest=800.0, highest=1500.0)
-    assert (tolerances.links[1].EI_Nm2 is not None, tolerances.links[0].EI_Nm2 is None) == (True, True)
+    assert tolerances.of_joint(1).stiffness_Nm_rad == Spread(lowest=3000.0, highest=6000.0)
+    assert tolerances.of_joint(3).stiffness_Nm_rad == Spread(lowest=800.0, highest=1500.0)
+    assert (tolerances.of_link(2).EI_Nm2 is not None, tolerances.of_link(1).EI_Nm2 is None) == (True, True)
     assert ARM.camera is not None
     assert (tolerances.poses, tolerances.noise_m) == (60, ARM.camera.position_noise_m)
 
@@ -33,6 +33,7 @@ def test_the_supplied_example_is_for_the_supplied_arm() -> None:
 )
 def test_distributions_are_as_they_are_written(spread: Spread, mean: float, sd: float, least: float, most: float) -> None:
     drawn = spread.draw(np.random.default_rng(1), 20_000)
+    assert (spread.centre, spread.sd_about) == pytest.approx((mean, sd))
     assert drawn.mean() == pytest.approx(mean, abs=0.03)
     assert drawn.std() == pytest.approx(sd, rel=0.02)
     assert least - 1e-12 <= drawn.min() <= drawn.max() <= most + 1e-12
@@ -44,22 +45,22 @@ def test_distributions_are_as_they_are_written(spread: Spread, mean: float, sd: 
     [
         ("", "no tolerance"),
         ("[every_link\n", "not valid TOML"),
-        ("[every_link]\nd_mm = { within = 0.1 }", "[every_link] unknown key `d_mm`"),
-        ("[joint.2]\nbacklash = { from = 0, to = 1 }", "[joint.2] unknown key `backlash`"),
-        ("[joint.4]\nencoder_zero_rad = { sd = 1e-3 }", "[joint.4]: expected a number from 1 to 3"),
-        ("[link.one]\nd_m = { sd = 1e-3 }", "[link.one]: expected a number from 1 to 4"),
-        ("[every_link]\nd_m = 0.0002", "Expected a table, got `float`, such as { within = 2e-4 }"),
-        ("[every_link]\nd_m = { within = -0.1 }", "Expected `float` >= 0.0"),
-        ("[every_link]\nd_m = { within = nan }", "every_link.d_m.within must be finite"),
-        ("[link.2]\nd_m = { within = 1e-4, sd = 1e-4 }", "[link.2.d_m] expected one of { within }, { sd }"),
-        ("[link.2]\nd_m = { }", "[link.2.d_m] expected one of"),
+        ("[every_link]\nd_mm = { within = 0.1 }", "every_link.d_mm: expected one of the keys"),
+        ("[joint.2]\nbacklash = { from = 0, to = 1 }", "joint.2.backlash: expected one of the keys"),
+        ("[joint.4]\nencoder_zero_rad = { sd = 1e-3 }", "joint.4: expected a number from 1 to 3"),
+        ("[link.one]\nd_m = { sd = 1e-3 }", "link.one: expected a number from 1 to 4"),
+        ("[every_link]\nd_m = 0.0002", "every_link.d_m: expected a table, got 0.0002, such as { within = 2e-4 }"),
+        ("[every_link]\nd_m = { within = -0.1 }", "every_link.d_m.within: expected a number not below 0, got -0.1"),
+        ("[every_link]\nd_m = { within = nan }", "every_link.d_m.within: expected a finite number, got nan"),
+        ("[link.2]\nd_m = { within = 1e-4, sd = 1e-4 }", "link.2.d_m: expected one of { within }, { sd }"),
+        ("[link.2]\nd_m = { }", "link.2.d_m: expected one of"),
         ("[link.2]\nd_m = { from = 1e-4 }", "both and without mean"),
-        ("[link.2]\nd_m = { from = 2e-4, to = 1e-4 }", "expected from <= to, got 0.0002 and 0.0001"),
-        ("[every_joint]\nbacklash_rad = { within = 1e-3 }", "[joint.1] backlash_rad: it reaches down to -0.001"),
-        ("[joint.2]\nstiffness_Nm_rad = { sd = 100, mean = 4000 }", "a normal distribution has no end"),
+        ("[link.2]\nd_m = { from = 2e-4, to = 1e-4 }", "link.2.d_m: expected from <= to, got 0.0002 and 0.0001"),
+        ("[every_joint]\nbacklash_rad = { within = 1e-3 }", "every_joint.backlash_rad: expected no value below 0, such as"),
+        ("[joint.2]\nstiffness_Nm_rad = { sd = 100, mean = 4000 }", "joint.2.stiffness_Nm_rad: expected values above 0, such as"),
         ("[joint.2]\nstiffness_Nm_rad = { from = 0, to = 4000 }", "expected values above 0"),
-        ("[link.2]\nEI_Nm2 = { within = 10, mean = 10 }", "[link.2] EI_Nm2: it reaches down to 0"),
-        ("[calibration]\nposes = 3\n[tool]\nx_m = { sd = 1e-3 }", "[calibration.poses]"),
+        ("[link.2]\nEI_Nm2 = { within = 10, mean = 10 }", "got one that reaches down to 0"),
+        ("[calibration]\nposes = 3\n[tool]\nx_m = { sd = 1e-3 }", "calibration.poses: expected a whole number from 10 to 5000"),
     ],
 )
 def test_a_mistake_is_named_with_file_and_key(text: str, said: str) -> None:

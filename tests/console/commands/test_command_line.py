@@ -360,7 +360,7 @@ def test_arm_keys_prints_the_columns_of_a_recording(capsys: pytest.CaptureFixtur
 
 
 def test_arm_keys_has_a_spread_for_a_value_and_not_for_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["arm", "--keys", "tolerances"]) == 0
+    assert main(["arm", "--keys", "tolerances.toml"]) == 0
     shown = capsys.readouterr().out
     assert " backlash_rad              spread   total play" in shown
     assert "[every_joint.backlash_rad]" not in shown
