@@ -1,9 +1,10 @@
 """What an afternoon makes of the arms that people own, on the mock. `make owned-arms-study`: docs/arms.md and their pages.
 
-An arm as printed and put together at home (scenario so101: geometry 1 mm and 1 deg off, zeros 2 deg), with play as published.
-A camera of 0.5 mm sees the tip, in the base frame, in 40 poses to calibrate with and in 25 others to look at. Every model says
-where the tip is by encoders, directions of the last motion and currents: as published, with the zeros alone identified, with all
-of the geometry, with what `gap` names besides; and by the exported URDF of the last, which knows no play.
+An arm as printed and put together at home (scenario so101: geometry 1 mm and 1 deg off, zeros 2 deg; with `--small` 0.3 mm,
+0.3 deg and 1 deg), with play as published. A camera of 0.5 mm sees the tip, in the base frame, in 40 poses to calibrate with and
+in 25 others to look at. Every model says where the tip is by encoders, directions of the last motion and currents: as published,
+with the zeros alone identified, with all of the geometry as if nobody knew how exactly parts are made, as `calibrate` does it,
+with what `gap` names besides; and by the exported URDF of the last, which knows no play.
 
 With `--webcam` pictures stand in the camera's place: a board on the jaw, rendered with lens distortion, blur and noise, goes
 through the detector, and neither the lens nor the places of camera and board are known. The errors are then those of the
@@ -27,6 +28,7 @@ from armwright import Points, RequestRefused, calibrate, find_gap, load_arm, mak
 from armwright.mock import mock_arm
 from benchmarks.studies import add_options
 from calib.arm_import import arm_links, read_arm
+from calib.arm_problem.assembly import with_own_base
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array, norms
 from calib.boards import best_motion
@@ -41,7 +43,7 @@ from calib.vision.targets import Charuco, look_for, picture_files, png_of
 from control.errors import ArmError
 from control.model.arm import Arm, Camera, Tool
 from hil_mocks.arm_pictures import FramePose, PicturedArm, Webcam, looking_at
-from hil_mocks.scenario import EveryJoint, Scenario, load_scenario
+from hil_mocks.scenario import EveryJoint, Scenario, TrueDh, load_scenario
 from procedures.demo.webcam import DOTS_A_METRE, MARGIN_m, is_inside, photograph_board
 from procedures.mock import scenario_bytes
 
@@ -61,12 +63,13 @@ BOARD = Charuco(5, 7, 0.015, 0.01125)
 BOARD_OFF_m, MOUNT_rad = (0.004, -0.006, 0.01), (0.0, 0.5 * math.pi, 0.0)
 CAMERA_m, VIEW_m = (0.75, 0.15, 0.35), (0.2, 0.0, 0.15)
 FACING, FARTHEST_m = 0.5, 0.75
-MODELS = ("as published", "zeros alone", "calibrated", "with what gap named", "its exported URDF")
+SMALL = TrueDh(d_m=3e-4, theta_rad=math.radians(1.0), L_m=3e-4, alpha_rad=math.radians(0.3))
+MODELS = ("as published", "zeros alone", "without tolerances", "calibrated", "with what gap named", "its exported URDF")
 
 
 @dataclass(frozen=True)
 class Afternoon:
-    """Tip errors (5, 25) [m] of MODELS in poses that nothing was fitted to, and what `gap` named."""
+    """Tip errors (6, 25) [m] of MODELS in poses that nothing was fitted to, and what `gap` named."""
 
     arm: str
     play_deg: float
@@ -74,31 +77,32 @@ class Afternoon:
     named: tuple[str, ...]
 
 
-def afternoon(name: str, play_deg: float, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN) -> Afternoon:
+def afternoon(name: str, play_deg: float, is_small: bool, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN) -> Afternoon:
     """One arm, made from a seed."""
-    arm = replace(load_arm(name), camera=Camera(position_noise_m=NOISE_m))
-    points = _recorded(arm, play_deg, seed, calibrated + seen)
+    arm = with_own_base(replace(load_arm(name), camera=Camera(position_noise_m=NOISE_m)))
+    points = _recorded(arm, _hidden(arm, play_deg, is_small, seed), calibrated + seen)
     fitted, others = points.chosen(range(calibrated)), points.chosen(range(calibrated, calibrated + seen))
-    lengths = [f"{key}{i}" for i in range(1, len(arm.links) + 1) for key in ("d", "L", "alpha")]
-    zeros = calibrate(arm, fitted, fixed=("base", *lengths)).arm
-    whole = calibrate(arm, fitted, fixed=("base",)).arm
+    zeros, plain = (calibrate(replace(arm, tolerances=None), fitted, fixed=fixed).arm for fixed in (_lengths(arm), ()))
+    whole = calibrate(arm, fitted).arm
     gap = find_gap(whole, fitted)
     with tempfile.TemporaryDirectory() as folder:
         named = gap.save(Path(folder) / "gap")
-    models = (arm, zeros, whole, named, _of_urdf(named))
+    models = (arm, zeros, plain, whole, named, _of_urdf(named))
     errors = [np.linalg.norm(verify(arm, model, others).after_m, axis=1) for model in models]
     return Afternoon(name, play_deg, np.array(errors), gap.named)
 
 
-def afternoon_of(sort: tuple[str, float], number: int) -> Afternoon:
+def afternoon_of(sort: tuple[str, float, bool], number: int) -> Afternoon:
     """`afternoon`, as a task of a study."""
     return afternoon(*sort, number)
 
 
-def webcam_afternoon(name: str, play_deg: float, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN) -> Afternoon:
+def webcam_afternoon(
+    name: str, play_deg: float, is_small: bool, seed: int, calibrated: int = CALIBRATED, seen: int = SEEN
+) -> Afternoon:
     """The same with pictures; the exported URDF is left out, whose error is that of its model and the play."""
     arm = replace(load_arm(name), tool=Tool(known=False), camera=Camera(position_noise_m=NOISE_m))
-    hidden, draw = _hidden(arm, play_deg, seed), np.random.default_rng(seed)
+    hidden, draw = _hidden(arm, play_deg, is_small, seed), np.random.default_rng(seed)
     pictured = _pictured(arm, hidden)
     as_published = replace(pictured, deviations={})
     stops = _stops(arm, hidden, calibrated + seen, lambda pose: _shows_board(as_published, pose))
@@ -106,8 +110,7 @@ def webcam_afternoon(name: str, play_deg: float, seed: int, calibrated: int = CA
     with tempfile.TemporaryDirectory() as folder:
         measured = _photographed(pictured, stops.points(np.full((len(stops.q_rad), 3), np.nan)), stops, Path(folder), draw)
         fitted = measured.chosen([k for k in range(len(measured)) if int(measured.point[k]) <= calibrated])
-        lengths = [f"{key}{i}" for i in range(1, len(arm.links) + 1) for key in ("d", "L", "alpha")]
-        zeros = calibrate(arm, fitted, fixed=lengths).arm
+        zeros, plain = (calibrate(replace(arm, tolerances=None), fitted, fixed=fixed).arm for fixed in (_lengths(arm), ()))
         whole = calibrate(arm, fitted)
         in_base = points_in_base(whole.calibrated)
         if in_base is None:
@@ -118,13 +121,13 @@ def webcam_afternoon(name: str, play_deg: float, seed: int, calibrated: int = CA
     x_m, y_m, z_m = BOARD_OFF_m
     published = replace(arm, tool=Tool((x_m, y_m, z_m)))
     errors = []
-    for model in (published, zeros, whole.arm, named):
+    for model in (published, zeros, plain, whole.arm, named):
         predicted_m = others.tip_m - verify(published, model, others).after_m
         errors.append(norms(others.tip_m - best_motion(predicted_m, others.tip_m).of(predicted_m)))
     return Afternoon(name, play_deg, np.array(errors), gap.named)
 
 
-def webcam_afternoon_of(sort: tuple[str, float], number: int) -> Afternoon:
+def webcam_afternoon_of(sort: tuple[str, float, bool], number: int) -> Afternoon:
     """`webcam_afternoon`, as a task of a study."""
     return webcam_afternoon(*sort, number)
 
@@ -143,17 +146,23 @@ class _Stops:
         return make_points(self.q_rad, tip_m, direction=self.direction, current_A=self.current_A, payload_kg=np.zeros(len(tip_m)))
 
 
-def _hidden(arm: Arm, play_deg: float, seed: int) -> Scenario:
+def _lengths(arm: Arm) -> list[str]:
+    """All of the geometry but the zeros."""
+    return [f"{key}{i}" for i in range(1, len(arm.links) + 1) for key in ("d", "L", "alpha")]
+
+
+def _hidden(arm: Arm, play_deg: float, is_small: bool, seed: int) -> Scenario:
     home_made = load_scenario("so101")
     has_friction = any(effect.effect == "coulomb_friction" for effect in arm.effects)
     every = EveryJoint(0.0 if has_friction else FRICTION, 0.0, math.radians(play_deg))
-    return msgspec.structs.replace(home_made, seed=seed, every_joint=every)
+    true_dh = SMALL if is_small else home_made.true_dh
+    return msgspec.structs.replace(home_made, seed=seed, every_joint=every, true_dh=true_dh)
 
 
-def _recorded(arm: Arm, play_deg: float, seed: int, count: int) -> Points:
+def _recorded(arm: Arm, hidden: Scenario, count: int) -> Points:
     """Static poses all over the range; the tip in the base frame, as a camera of NOISE_m sees it."""
-    stops = _stops(arm, _hidden(arm, play_deg, seed), count)
-    return stops.points(stops.tip_m + np.random.default_rng(seed).normal(0.0, NOISE_m, (count, 3)))
+    stops = _stops(arm, hidden, count)
+    return stops.points(stops.tip_m + np.random.default_rng(hidden.seed).normal(0.0, NOISE_m, (count, 3)))
 
 
 def _stops(arm: Arm, hidden: Scenario, count: int, is_wanted: Callable[[Sequence[float]], bool] = lambda _: True) -> _Stops:
@@ -227,10 +236,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=1, help="arms of each sort")
     parser.add_argument("--arms", nargs="+", choices=tuple(PLAYS), default=tuple(PLAYS))
+    parser.add_argument("--small", action="store_true", help="arms whose errors are small")
     parser.add_argument("--webcam", action="store_true", help="with rendered pictures, of an SO-101")
     add_options(parser)
     args = parser.parse_args()
-    sorts = [(name, play_deg) for name in args.arms for play_deg in PLAYS[name]]
+    sorts = [(name, play_deg, args.small) for name in args.arms for play_deg in PLAYS[name]]
     task = afternoon_of
     if args.webcam:
         sorts, task = [sort for sort in sorts if sort[0] == "so101"], webcam_afternoon_of
