@@ -178,14 +178,17 @@ class Examined:
         return self.rows.residual([*laws.values(), *self.sensors]) + seen_by_sensors(self.verdict, len(self.rows.table.run))
 
     def with_least_left(self) -> Examined:
-        """With the values that leave least of the rows that decide, where a law bends."""
-        laws, stated = self.verdict.laws, self.laws_of(self.file)
+        """With the values that leave least of the rows that decide, where a law bends; what no file says of it, such as the share
+        of friction behind a loose gear, stays as the posterior has it.
+        """
+        laws, stated, given = self.verdict.laws, self.laws_of(self.file), {law.name: np.array(law.values) for law in self.known}
         names = [name for name in laws if name in stated and name.effect not in IN_KINEMATICS]
         if all(laws[name].form.is_straight for name in names):
             return self
+        begun = {name: stated[name].at(tuple((laws[name].values + given.get(name, np.zeros(1))).tolist())) for name in names}
         sd = {name: np.sqrt(np.diag(self.verdict.covariance[name])) for name in names}
-        settled = with_least_left(lambda model: self.left_by(model)[self.parts.deciding], stated, sd)
-        moved = {name: np.array(settled[name].values) - stated[name].values for name in names}
+        settled = with_least_left(lambda model: self.left_by(model)[self.parts.deciding], stated | begun, sd)
+        moved = {name: np.subtract(settled[name].values, begun[name].values) for name in names}
         values = {name: law.at(tuple((law.values + moved[name]).tolist())) for name, law in laws.items() if name in moved}
         covariance = {name: self.verdict.covariance[name] + np.outer(step, step) for name, step in moved.items()}
         verdict = dataclasses.replace(self.verdict, laws={**laws, **values}, covariance={**self.verdict.covariance, **covariance})
