@@ -246,8 +246,11 @@ class Linear:
         rest = np.vstack((values, np.zeros_like(fit))) - q @ (q[: len(base)].T @ values)
         seen = rest.T @ rest
         used = float(np.sum(q[: len(base)] ** 2))
-        more = np.zeros_like(seen) if held is None else _beside(r.T @ r, fit, held)
-        return Gram(seen[:-1, :-1], seen[:-1, -1], more[:-1, :-1], more[:-1, -1], float(seen[-1, -1]), len(base) - used)
+        gram = Gram(seen[:-1, :-1], seen[:-1, -1], None, np.zeros(len(seen) - 1), float(seen[-1, -1]), len(base) - used)
+        if held is None:
+            return gram
+        more = _beside(r.T @ r, fit, held)
+        return dataclasses.replace(gram, current=more[:-1, :-1], current_pull=more[:-1, -1])
 
     def geometry(self, poses: Mask, noise_m: float, total: Array) -> Array:
         """Unknowns (K,) of the geometry beside the terms' move `total` (3R,)."""

@@ -351,7 +351,7 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     columns = [evidence.places[k][: evidence.terms[k].laws] for k in names.values()]
     every, ends = np.concatenate([*columns, []]).astype(int), np.cumsum([len(own) for own in columns])
     places = {key: slice(end - len(own), end) for key, own, end in zip(names, columns, ends, strict=True)}
-    alone = gram.tip[every, every] + gram.current[every, every]
+    alone = gram.tip[every, every] + (0.0 if gram.current is None else gram.current[every, every])
     beside = {rival: alone - _taken(evidence, every, k) for rival, k in names.items()}
     effects = []
     for key, at in places.items():

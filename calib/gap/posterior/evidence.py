@@ -43,12 +43,12 @@ class Weighed:
 @dataclass(frozen=True, slots=True)
 class Gram:
     """What evidence needs of any number of measurements: G (p, p) and h (p,) of tips and of currents, in standard deviations;
-    y'My of the tips, and their degrees of freedom.
+    y'My of the tips, and their degrees of freedom. `current`: None without currents; as zeros it would cost as much as the tips.
     """
 
     tip: Array
     pull: Array
-    current: Array
+    current: Array | None
     current_pull: Array
     left: float
     freedom: float
@@ -56,12 +56,17 @@ class Gram:
     def among(self, rows: Places, columns: Places | slice, kappa: float = 1.0) -> Array:
         """G of some columns with others, by tips whose noise is `kappa` times the floor and by currents; of all it is large."""
         across = (rows, columns) if isinstance(columns, slice) else np.ix_(rows, columns)
-        return np.asarray(self.tip[across] / kappa**2 + self.current[across])
+        seen = self.tip[across]
+        seen /= kappa**2
+        if self.current is not None:
+            seen += self.current[across]
+        return np.asarray(seen)
 
     def of(self, at: Places) -> Gram:
         """Of some columns."""
-        tip, current = (own[np.ix_(at, at)] for own in (self.tip, self.current))
-        return Gram(tip, self.pull[at], current, self.current_pull[at], self.left, self.freedom)
+        across = np.ix_(at, at)
+        current = None if self.current is None else self.current[across]
+        return Gram(self.tip[across], self.pull[at], current, self.current_pull[at], self.left, self.freedom)
 
     def drawn(self, at: Places | slice, kappa: float = 1.0) -> Array:
         """The same of h."""
@@ -82,7 +87,7 @@ class Batch:
     most: Array
     is_name: bool
     tip: Array
-    current: Array
+    current: Array | None
 
 
 class Evidence:
@@ -131,7 +136,7 @@ class Evidence:
             np.array([[self.terms[k].most] for k in numbers]),
             term.is_name,
             self.gram.tip[across],
-            self.gram.current[across],
+            None if self.gram.current is None else self.gram.current[across],
         )
 
     def _columns(self, members: Sequence[Member]) -> tuple[Places, Array]:
@@ -176,7 +181,9 @@ class Evidence:
 
     def _of_batch(self, batch: Batch, factor: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array, Array]:
         """Log evidence that each term adds, the best of its scales, what that one alone adds, and the part of bounds in that."""
-        seen = batch.tip / kappa**2 + batch.current
+        seen = batch.tip / kappa**2
+        if batch.current is not None:
+            seen += batch.current
         if factor.size:
             part = factor[batch.places]  # (t, c, k)
             seen -= part @ part.transpose(0, 2, 1)

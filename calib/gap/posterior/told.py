@@ -142,9 +142,10 @@ class Told:
         for term, at in zip(terms, places, strict=True):
             for row, column in zip(at[: term.laws], self._of(term.key), strict=False):
                 spread[row, column] = term.size
+        added = sign * spread @ self.information @ spread.T
         return dataclasses.replace(
             gram,
-            current=gram.current + sign * spread @ self.information @ spread.T,
+            current=added if gram.current is None else gram.current + added,
             current_pull=gram.current_pull + sign * spread @ self.pull,
         )
 

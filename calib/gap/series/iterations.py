@@ -166,9 +166,9 @@ def _refitted(fit: SeriesFit, point: OperatingPoint, split: RowSplit) -> dict[Ke
     linear = SeriesLinear.around(point, [*terms, *blocks])
     gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.usable))
     sd = np.concatenate([_usual(term) for term in linear.terms])
-    inner = np.eye(len(sd)) + sd[:, None] * (gram.tip + gram.current) * sd
+    inner = np.eye(len(sd)) + sd[:, None] * gram.among(np.arange(len(sd)), slice(None)) * sd
     covariance = sd[:, None] * np.linalg.inv(inner) * sd
-    size, first = covariance @ (gram.pull + gram.current_pull), 0
+    size, first = covariance @ gram.drawn(slice(None)), 0
     moved = dict(laws)
     for term in terms:
         place = slice(first, first + term.count)

@@ -90,7 +90,7 @@ class SeriesLinear:
             pull[at] += inner[1:, 0]
             squares += float(inner[0, 0])
             count += int(picked.sum())
-        gram = Gram(seen, pull, np.zeros(seen.shape), np.zeros(total), squares, float(count))
+        gram = Gram(seen, pull, None, np.zeros(total), squares, float(count))
         prior = self.scene.told
         return gram if prior is None else prior.beside(gram, self.terms, self.places)
 
@@ -133,7 +133,8 @@ def marginalised(gram: Gram, first: int) -> Gram:
     pull = gram.pull[first:] - inner[:-1, -1]
     squares = gram.left - float(inner[-1, -1])
     # what is told of other columns tells nothing of these
-    return Gram(seen, pull, gram.current[first:, first:], gram.current_pull[first:], squares, gram.freedom)
+    current = None if gram.current is None else gram.current[first:, first:]
+    return Gram(seen, pull, current, gram.current_pull[first:], squares, gram.freedom)
 
 
 def cross_validated(
@@ -252,15 +253,15 @@ def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
 def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:
     """`refitted` of the best set without one of some groups of rows (k,) in turn: coefficients, (groups, c)."""
     linear, scene, at = fit.linear, fit.point.scene, fit.linear.at(fit.numbers)
-    scales, across, noise = fit.evidence.scales, np.ix_(at, at), fit.best.kappa**2
+    scales, kappa = fit.evidence.scales, fit.best.kappa
     sd = np.concatenate([np.ones(linear.first), *(scales[k][0][h] for k, h in fit.best.members)])
     white = linear.whitened(np.column_stack((linear.thin_columns(at), linear.thin_y)), fit.noises)
     coefficients = []
     for group in groups:
         rows = white[scene.picked(group & scene.usable)]
         gram = rows.T @ rows
-        seen = (fit.gram.tip[across] - gram[:-1, :-1]) / noise + fit.gram.current[across]
-        pull = (fit.gram.pull[at] - gram[:-1, -1]) / noise + fit.gram.current_pull[at]
+        seen = fit.gram.among(at, at, kappa) - gram[:-1, :-1] / kappa**2
+        pull = fit.gram.drawn(at, kappa) - gram[:-1, -1] / kappa**2
         inner = np.eye(len(sd)) + sd[:, None] * seen * sd
         coefficients.append(sd * np.linalg.solve(inner, sd * pull))
     return np.array(coefficients)

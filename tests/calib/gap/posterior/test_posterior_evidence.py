@@ -24,8 +24,7 @@ def _term(key, columns: int = 1, departures: int = 0, is_positive: bool = False,
 
 
 def _evidence(terms, columns: np.ndarray, y: np.ndarray) -> Evidence:
-    zero = np.zeros((columns.shape[1], columns.shape[1]))
-    gram = Gram(columns.T @ columns, columns.T @ y, zero, np.zeros(columns.shape[1]), float(y @ y), float(len(y)))
+    gram = Gram(columns.T @ columns, columns.T @ y, None, np.zeros(columns.shape[1]), float(y @ y), float(len(y)))
     return Evidence(gram, terms, 0.03)
 
 
@@ -55,6 +54,20 @@ def test_what_a_term_adds_is_the_difference_of_the_whole_evidence() -> None:
     scale = int(added.best[3])
     whole = evidence.value([(0, 1), (3, scale)], 1.0) - evidence.value([(0, 1)], 1.0)
     assert added.top[3] == pytest.approx(whole, abs=1e-6)
+
+
+def test_currents_that_tell_nothing_are_none() -> None:
+    columns, y = _world(4, 1.0)
+    terms = [_term(EffectName("encoder_scale", j + 1)) for j in range(4)]
+    none = _evidence(terms, columns, y)
+    nothing = Evidence(replace(none.gram, current=np.zeros((4, 4))), terms, 0.03)
+    for evidence in (none, nothing):
+        evidence.gram.tip.setflags(write=False)
+    members = [(0, 1), (2, 3)]
+    assert nothing.value(members, 1.1) == none.value(members, 1.1)
+    assert np.array_equal(nothing.added(members, 1.1).log, none.added(members, 1.1).log)
+    at = np.array([0, 2])
+    assert np.array_equal(nothing.gram.of(at).among(at[:1], slice(None), 1.1), none.gram.of(at).among(at[:1], slice(None), 1.1))
 
 
 def test_a_play_below_nought_is_never_in_a_set() -> None:

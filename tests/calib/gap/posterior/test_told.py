@@ -26,8 +26,7 @@ def _term(key: EffectName | Block, **more: Any) -> Term:
 
 
 def _gram(columns: np.ndarray, y: np.ndarray) -> Gram:
-    p = columns.shape[1]
-    return Gram(columns.T @ columns, columns.T @ y, np.zeros((p, p)), np.zeros(p), float(y @ y), float(len(y)))
+    return Gram(columns.T @ columns, columns.T @ y, None, np.zeros(columns.shape[1]), float(y @ y), float(len(y)))
 
 
 @pytest.fixture(scope="module")
