@@ -9,7 +9,7 @@ its own G and h (a Schur complement). The tips' noise may be kappa times the flo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,12 +163,45 @@ class Evidence:
 
     def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
         """What every term (or only those of a key) would add to a set."""
+        batches, left, pull, _ = self._left(members, kappa, key)
+        return self._added(batches, left, pull)
+
+    def added_without_each(self, members: Sequence[Member], kappa: float) -> Iterator[Added]:
+        """What every term would add to a set without one of its members, in turn.
+
+        With A = I + V^1/2 G V^1/2 of the set and B its rows of all columns, V^1/2 G, the set takes B' A^-1 B of these; without
+        the columns c of a member that is less by W_c' ((A^-1)_cc)^-1 W_c, W = A^-1 B (the inverse of a partitioned matrix).
+        """
+        batches, left, pull, both = self._left(members, kappa)
+        root, first = np.linalg.inv(self._inner(*self._columns(members), kappa)), 0
+        for number, _ in members:
+            own = root[first:, first : first + len(self.places[number])]  # A^-1 = root' root, and root is lower
+            returned = np.linalg.solve(np.linalg.cholesky(own.T @ own), own.T @ both[first:]).T
+            first += own.shape[1]
+            parts = [returned[batch.places] for batch in batches]
+            seen = [of_set + part @ part.transpose(0, 2, 1) for of_set, part in zip(left, parts, strict=True)]
+            yield self._added(batches, seen, pull + returned[:-1] @ returned[-1])
+
+    def _left(
+        self, members: Sequence[Member], kappa: float, key: Key | None = None
+    ) -> tuple[list[Batch], list[Array], Array, Array]:
+        """What a set leaves of all terms, or of those of a key: G of each batch (t, c, c) and h; and T of `taken`."""
         at, sd = self._columns(members)
         batches, asked = self._asked[key]
         both = self.taken(at, sd, asked, kappa)
-        factor = np.ascontiguousarray(both[:, :-1].T)
-        pull = self.gram.drawn(asked, kappa) - factor @ both[:, -1]
-        found = [self._of_batch(batch, factor, pull, kappa) for batch in batches]
+        factor, left = np.ascontiguousarray(both[:, :-1].T), []
+        for batch in batches:
+            seen = batch.tip / kappa**2
+            if batch.current is not None:
+                seen += batch.current
+            if factor.size:
+                part = factor[batch.places]  # (t, c, k)
+                seen -= part @ part.transpose(0, 2, 1)
+            left.append(seen)
+        return batches, left, self.gram.drawn(asked, kappa) - factor @ both[:, -1], both
+
+    def _added(self, batches: Sequence[Batch], left: Sequence[Array], pull: Array) -> Added:
+        found = [self._of_batch(batch, seen, pull[batch.places]) for batch, seen in zip(batches, left, strict=True)]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
 
     def gains(self, added: Added) -> list[float]:
@@ -179,16 +212,12 @@ class Evidence:
         gains: list[float] = (top + np.log(spread) + self._odds).tolist()
         return gains
 
-    def _of_batch(self, batch: Batch, factor: Array, pull: Array, kappa: float) -> tuple[Array, Array, Array, Array]:
-        """Log evidence that each term adds, the best of its scales, what that one alone adds, and the part of bounds in that."""
-        seen = batch.tip / kappa**2
-        if batch.current is not None:
-            seen += batch.current
-        if factor.size:
-            part = factor[batch.places]  # (t, c, k)
-            seen -= part @ part.transpose(0, 2, 1)
+    def _of_batch(self, batch: Batch, seen: Array, pull: Array) -> tuple[Array, Array, Array, Array]:
+        """Of terms with G (t, c, c) and h (t, c): the log evidence that each adds, the best of its scales, what that one alone
+        adds, and the part of bounds in that.
+        """
         sd = batch.sd
-        law_sizes, width, log = _estimates(seen, pull[batch.places], sd, batch.laws)
+        law_sizes, width, log = _estimates(seen, pull, sd, batch.laws)
         bound = np.zeros(log.shape)
         # sizes are counted in sd here; a departure is a share of the law: without the law there is none
         least = np.where(np.any(sd[:, batch.laws :] > 0.0, axis=1) & batch.is_name, LAW_LEAST, -np.inf)

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.evidence import Evidence, Member, Weighed
+from calib.gap.posterior.evidence import Added, Evidence, Member, Weighed
 from calib.gap.posterior.term import Key, Traits
 
 GROWTH = 2  # terms that are tried beside a set that still grows
@@ -83,7 +83,8 @@ class Search:
         regrown = self.weigh([member for member in best.members if member[0] != block])
         for _ in range(REGROWTH):
             before = set(self.seen)
-            self._grow(regrown.members, regrown.kappa, 1, but, 0.0)
+            for members in self._larger(regrown.members, self.evidence.added(regrown.members, regrown.kappa), 1, but, 0.0):
+                self.weigh(members)
             new = [weighed for keys, weighed in self.seen.items() if keys not in before]
             more = max(new, key=lambda weighed: weighed.log, default=None)
             if more is None or more.log <= regrown.log:
@@ -113,25 +114,31 @@ class Search:
 
     def _expand(self, weighed: Weighed) -> None:
         """Weigh what is one term more, and, where nothing more pays, what is one less or one other."""
-        self._grow(weighed.members, weighed.kappa, GROWTH)
+        larger = self._larger(weighed.members, self.evidence.added(weighed.members, weighed.kappa), WIDTH)
+        for members in larger[:GROWTH]:
+            self.weigh(members)
         if max(rival.log for rival in self.seen.values()) > weighed.log + 1.0:
             return  # it is not at its best yet
-        self._grow(weighed.members, weighed.kappa, WIDTH)
+        for members in larger[GROWTH:]:
+            self.weigh(members)
         is_best = weighed.log >= max(rival.log for rival in self.seen.values()) - EXCHANGED
-        for member, gain in zip(weighed.members, weighed.gains, strict=True):
+        without = self.evidence.added_without_each(weighed.members, weighed.kappa) if is_best else [None] * len(weighed.members)
+        for member, gain, added in zip(weighed.members, weighed.gains, without, strict=True):
             key = self.evidence.terms[member[0]].key
             if key in self.forced:
                 continue
             rest = [present for present in weighed.members if present is not member]
             if gain < 2.0 * WINDOW:
                 self.weigh(rest)
-            if is_best:
-                self._grow(rest, weighed.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
+            if added is not None:
+                for members in self._larger(rest, added, EXCHANGES, key, gain - 2.0 * WINDOW):
+                    self.weigh(members)
 
-    def _grow(
-        self, members: Sequence[Member], kappa: float, width: int, but: Key | None = None, least: float = GAIN_LEAST
-    ) -> None:
-        added, present = self.evidence.added(members, kappa), self.keys(members)
+    def _larger(
+        self, members: Sequence[Member], added: Added, width: int, but: Key | None = None, least: float = GAIN_LEAST
+    ) -> list[list[Member]]:
+        """A set with one term more, of those that add most, best first. `added`: what each would add."""
+        present = self.keys(members)
         blocks_count = sum(not isinstance(key, EffectName) for key in present)
         gains = {
             key: gain
@@ -142,11 +149,13 @@ class Search:
             blocks = [gain for key, gain in gains.items() if not isinstance(key, EffectName)]
             least = max(least, *blocks) if blocks else least
         of_key = self.evidence.of_key
+        larger = []
         for key in heapq.nlargest(width, gains, lambda key: (gains[key], of_key[key])):
             if gains[key] > least:
                 numbers = of_key[key]
                 number = numbers[int(np.argmax(added.log[numbers]))]
-                self.weigh([*members, (number, int(added.best[number]))])
+                larger.append([*members, (number, int(added.best[number]))])
+        return larger
 
     def weigh(self, members: Sequence[Member]) -> Weighed:
         """The best variants and scales of a set, one member after the other, and the noise that it leaves."""
@@ -199,7 +208,8 @@ class MergingSearch(Search):
                 if len(places) == 1:
                     rest = [member for member in best.members if member not in pair]
                     self.weigh(rest)
-                    self._grow(rest, best.kappa, BESIDE)
+                    for members in self._larger(rest, self.evidence.added(rest, best.kappa), BESIDE):
+                        self.weigh(members)
             self._improve(set())
             ranked = sorted(self.seen.values(), key=lambda weighed: -weighed.log)
             if ranked[0] is best:

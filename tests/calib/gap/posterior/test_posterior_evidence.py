@@ -56,6 +56,21 @@ def test_what_a_term_adds_is_the_difference_of_the_whole_evidence() -> None:
     assert added.top[3] == pytest.approx(whole, abs=1e-6)
 
 
+def test_what_terms_add_without_each_member_is_what_they_add_to_the_others() -> None:
+    columns, y = _world(6, 1.0, 9)
+    columns[:, 1] += 3.0 * columns[:, 0]  # each does much of what the other does
+    terms = [_term(EffectName("encoder_scale", j + 1)) for j in range(3)]
+    terms += [_term(Block(j + 1, "drag"), 3, 1) for j in range(2)]
+    evidence = _evidence(terms, columns, y)
+    members = [(3, 1), (0, 2), (1, 0)]
+    each = list(evidence.added_without_each(members, 1.1))
+    assert len(each) == len(members)
+    for member, added in zip(members, each, strict=True):
+        expected = evidence.added([other for other in members if other is not member], 1.1)
+        assert added.log == pytest.approx(expected.log, rel=1e-9, abs=1e-9)
+        assert np.array_equal(added.best, expected.best)
+
+
 def test_currents_that_tell_nothing_are_none() -> None:
     columns, y = _world(4, 1.0)
     terms = [_term(EffectName("encoder_scale", j + 1)) for j in range(4)]
