@@ -33,7 +33,7 @@ from calib.gap.poses.linear import Fit, Residuals
 from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Linearised, Looked
-from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
+from calib.gap.posterior.constants import GROWS, LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
@@ -124,6 +124,17 @@ def _files(
     """
     named = {name: _acting(estimate) for name, estimate in estimates.items()}
     arm, points, rows, keys = looked.arm, looked.points, looked.parts.known, list(named)
+
+    def fewer(why: Mapping[EffectName, str]) -> tuple[Decision, list[File], Mapping[EffectName, str]]:
+        names = tuple(name for name in decision.names if name not in why)
+        remainders = (*decision.remainders, *((name,) for name in why))
+        kept = {name: estimate for name, estimate in estimates.items() if name not in why}
+        less = dataclasses.replace(decision, names=names, remainders=remainders)
+        return _files(looked, given, less, kept, beside, firmer, {**reasons, **why})
+
+    def left(file: File) -> float:
+        return _square(file.fit.residuals(), looked.floor, looked.parts.report)
+
     last = File.of(arm, points, rows, named, beside, firmer)
     why = {name: f"{name} was identified with impossible values" for name in keys if named[name] and not last.has(name)}
     if not why:
@@ -132,13 +143,14 @@ def _files(
         if least := min((name for name in sure if sure[name] < 1.0), key=lambda name: sure[name], default=None):
             why = {least: f"{least} may as well be none, identified with what else is named"}
     if why:
-        names = tuple(name for name in decision.names if name not in why)
-        decision = dataclasses.replace(decision, names=names, remainders=(*decision.remainders, *((name,) for name in why)))
-        kept = {name: estimate for name, estimate in estimates.items() if name not in why}
-        return _files(looked, given, decision, kept, beside, firmer, {**reasons, **why})
+        return fewer(why)
     if last.unshared is not None:
-        with_maps, without = (_square(one.fit.residuals(), looked.floor, looked.parts.report) for one in (last, last.unshared))
-        last = last if with_maps < without else last.unshared
+        last = min(last.unshared, last, key=left)
+    if keys and left(last) > (1.0 + GROWS) * _square(given.residuals(), looked.floor, looked.parts.report):
+        # no file that predicts worse than the arm as it was given: without the name that it is best without
+        rest = {name: {key: value for key, value in named.items() if key != name} for name in keys}
+        worst = min(keys, key=lambda name: left(File.of(arm, points, rows, rest[name], beside, firmer)))
+        return fewer({worst: f"{worst} as identified predicts other poses worse than the arm as it was given"})
     if not keys and not last.arm.maps:
         # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.
         return decision, [last if _pays(looked, given, last) else dataclasses.replace(last, arm=arm, fit=given)], reasons

@@ -11,14 +11,17 @@ from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
 from calib.gap.finding import EffectName, gap_content, with_given_numbers
-from calib.gap.poses.answer import pays
-from calib.gap.poses.find import find
+from calib.gap.poses.answer import _files, pays
+from calib.gap.poses.file import placed
+from calib.gap.poses.find import _prepared, _searched, find
 from calib.gap.poses.linear import along_joint
 from calib.gap.poses.outcome import StaticGap
+from calib.gap.posterior.decide import Estimated
 from calib.gap.words import in_words
 from calib.gap.workflow import find_gap
 from calib.points.points import Points
 from control.model.arm import Effect
+from control.plain_text import silent
 from tests.thirds import third_of
 
 
@@ -233,3 +236,18 @@ def test_an_ambiguous_set_of_which_no_member_would_stand_is_left_without_a_name(
     found = find(hidden.arm, hidden.points).finding
     assert found.ambiguous == ()
     assert any("encoder_scale on joint 3 may as well be none, whichever it is" in one.where for one in found.remainder)
+
+
+def test_no_name_stands_with_which_the_file_predicts_worse_than_the_given_arm() -> None:
+    """Other recordings are sure of a scale that these poses do not have: the file would keep their value."""
+    null, name = rough_case("null", 1_700_000), EffectName("encoder_scale", 2)
+    linearised, decision = _searched(_prepared(null.arm, null.points, (), ()), silent)
+    looked, value = linearised.looked, np.array([0.2])
+    given = placed(looked.arm, looked.points, looked.parts.known)
+    sure = Estimated({"scale": (0.2, 1e-4)}, 0.0, "", value, np.array([[1e-8]]), ())
+    decided, files, reasons = _files(looked, given, dataclasses.replace(decision, names=(name,)), {name: sure}, {}, [name], {})
+    assert decided.names == ()
+    assert (name,) in decided.remainders
+    assert "predicts other poses worse than the arm as it was given" in reasons[name]
+    after, before = (fit.residuals().sizes(looked.parts.report)["tip_m"] for fit in (files[-1].fit, given))
+    assert after < before
