@@ -37,6 +37,7 @@ from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from calib.settling import Settling
+from control.dynamics.dynamics import has_masses
 from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.dynamics.static_pose import RestingPose, resting
 from control.kinematics.smooth_table import pieces
@@ -91,10 +92,29 @@ def _spread(arm: Arm, effect: str, joint: int | None) -> Spread | None:
 
 
 def made_effects(arm: Arm) -> tuple[str, ...]:
-    """The effects that an arm has by its tolerances, such as "backlash:2": they are there, and only how large is open."""
+    """The effects that an arm has by its tolerances, such as "backlash:2": they are there, and only how large is open.
+
+    Without masses nothing says on which flank a gear lies: then no play is among them.
+    """
+    stated = _stated(arm)
+    return tuple(f"{effect}:{joint}" for effect, joint in stated if effect != "backlash" or has_masses(arm))
+
+
+def about_made_effects(arm: Arm) -> tuple[str, ...]:
+    """A sentence where play that tolerances state cannot be identified."""
+    if has_masses(arm) or not any(effect == "backlash" for effect, _ in _stated(arm)):
+        return ()
+    return (
+        f"arm {arm.name}: [tolerances] says what play its gears have, and on which flank they lie follows from the masses of its"
+        " links, which the file lacks: no play is identified; add mass_kg, com_m and inertia_kg_m2",
+    )
+
+
+def _stated(arm: Arm) -> list[tuple[str, int]]:
+    """Effects and joints whose tolerance the arm's file has."""
     joints = range(1, arm.joint_count + 1)
-    pairs = ((effect, joint) for effect in TOLERANCE_OF for joint in joints if arm.is_behind_encoder(effect, joint))
-    return tuple(f"{effect}:{joint}" for effect, joint in pairs if _spread(arm, effect, joint) is not None)
+    pairs = [(effect, joint) for effect in TOLERANCE_OF for joint in joints if arm.is_behind_encoder(effect, joint)]
+    return [(effect, joint) for effect, joint in pairs if _spread(arm, effect, joint) is not None]
 
 
 def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> Array:

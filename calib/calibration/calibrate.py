@@ -13,7 +13,16 @@ import numpy as np
 from calib.arm_problem.assembly import BASE, BASE_FRAME, CAMERA, Choice, base_frame_of, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.frames import Frame, rotation_vector
-from calib.arm_problem.joint_effects import LAWS, effect_key, impossible, made_effects, unclear_flanks, unphysical, with_effects
+from calib.arm_problem.joint_effects import (
+    LAWS,
+    about_made_effects,
+    effect_key,
+    impossible,
+    made_effects,
+    unclear_flanks,
+    unphysical,
+    with_effects,
+)
 from calib.arm_problem.posed import usual_noise_m
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen
@@ -82,6 +91,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     warnings = [
         *([_about_frame(arm)] if BASE in plan.choice.freed and BASE not in asked.choice.freed else []),
         *require_usable(arm, points, problem, plan.choice),
+        *about_made_effects(arm),
         *unclear_flanks(arm, points, asked.choice.effects),
     ]
     advance("identifying", 0.1)

@@ -67,6 +67,15 @@ def chain_of(arm: Arm) -> Chain:
     return Chain(tuple(bodies), arm.dh_convention == "modified", tool.position_m, reflected, joint, tool.mass_kg, tool.centre_m)
 
 
+def has_masses(arm: Arm) -> bool:
+    """Whether an arm's file has what the equations need."""
+    try:
+        _check_masses(arm)
+    except MissingModel:
+        return False
+    return True
+
+
 def _check_masses(arm: Arm) -> None:
     """A revolute link, or a fixed link after it, needs mass, com and inertia."""
     for number, link in enumerate(arm.links, start=1):

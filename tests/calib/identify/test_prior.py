@@ -14,7 +14,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.joint_effects import made_effects
 from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.arrays import norms
-from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified, with_made_effects
+from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified, with_made_effects
 from calib.identify.identification import identify
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfCoordinates, SumOfDistances
 from calib.points.points import Points
@@ -183,3 +183,12 @@ def test_only_what_tolerances_say_is_identified_unasked() -> None:
     assert with_made_effects(BASE, load_arm("right")) == dataclasses.replace(BASE, fixed=["base"])
     without = with_made_effects(Choice(fixed=("L2", "backlash2")), SO101)
     assert (len(without.effects), without.fixed, "backlash:2" in without.effects) == (4, ["L2"], False)
+
+
+def test_play_of_an_arm_without_masses_is_told_and_left_out() -> None:
+    links = tuple(dataclasses.replace(link, mass_kg=None, com_m=None, inertia_kg_m2=None) for link in SO101.links)
+    bare = dataclasses.replace(SO101, links=links)
+    assert made_effects(bare) == ()
+    result = calibrate(bare, loose(SO101, 1, 0.5)[0], dataclasses.replace(LSQ, choice=BASE))
+    assert any("no play is identified; add mass_kg" in warning for warning in result.warnings)
+    assert "backlash" not in {effect.effect for effect in result.arm.effects}
