@@ -54,7 +54,7 @@ DH_KINDS = ("d", "theta", "L", "alpha")
 DH_UNITS = ("m", "rad", "m", "rad")
 LENGTH_BOUND_m = 0.005  # SpringerPlus 5:1771, eq. (4)
 ANGLE_BOUND_rad = math.radians(2.0)
-MADE_BOUND_sd = 4.0  # where the arm's file says how exactly a part is made: one normal part in 16,000 is further off
+MADE_BOUND_sd = 4.0  # at least, where the arm's file says how exactly a part is made: one normal part in 16,000 is further off
 # Unknowns without a nominal value (pose of a board, length of a tool) are scaled by this many times the
 # bounds above, so that what the data cannot distinguish from a DH parameter moves them instead of the DH parameter.
 FREE_TIMES = 100.0
@@ -98,7 +98,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Largest deviation per parameter. None: as the arm's tolerances say, else 5 mm and 2 degrees (SpringerPlus 5:1771, eq. (4)).
+    """Largest deviation per parameter. None: 5 mm and 2 degrees (SpringerPlus 5:1771, eq. (4)), or more by the arm's tolerances.
 
     `own` overrides single parameters by name, in their unit.
     """
@@ -111,7 +111,7 @@ class Bounds:
         """The bound of a DH parameter that is made as exactly as `made_sd`; it must be positive and finite."""
         general, usual = (self.length_m, LENGTH_BOUND_m) if unit == "m" else (self.angle_rad, ANGLE_BOUND_rad)
         if general is None:
-            general = MADE_BOUND_sd * made_sd if math.isfinite(made_sd) else usual
+            general = max(usual, MADE_BOUND_sd * made_sd) if math.isfinite(made_sd) else usual
         return self._checked(name, unit, self.own.get(name, general))
 
     def of_free(self, name: str, unit: str) -> float:
@@ -161,7 +161,10 @@ def made_geometry(arm: Arm) -> tuple[Array, Array]:
     return dh, np.where(np.isnan(variance), np.inf, np.sqrt(variance))
 
 
-def prior_sd(parameters: Sequence[Parameter], bounded: float, free: float) -> Array:
+FREE_sd = 1e3  # of an unknown of which nothing is known beforehand, in its own scale
+
+
+def prior_sd(parameters: Sequence[Parameter], bounded: float = FREE_sd, free: float = FREE_sd) -> Array:
     """Standard deviations (k,) of scaled unknowns before any measurement, where an arm's file says none: `bounded`, or `free`."""
     usual = (bounded if parameter.has_bound else free for parameter in parameters)
     return np.array([p.sd / p.scale if math.isfinite(p.sd) else other for p, other in zip(parameters, usual, strict=True)])

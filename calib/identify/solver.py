@@ -22,7 +22,7 @@ from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.descent import NOTHING_M, PoseSample, Prior, SearchEnd, Termination, descend
 from calib.identify.determinability import Sensitivity, determinability, null_space
-from calib.identify.noise import leverages, noise_scale
+from calib.identify.noise import NoiseScale, leverages, noise_scale
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
 from calib.settling import FITS_MOST, Settling
 
@@ -197,26 +197,56 @@ def prior_of(problem: Problem, objective: Objective) -> Prior | None:
     Of normal errors of variance v about the fit, and of deviations of standard deviation s, the most probable deviations have
     J'J / v + 1 / s^2 as the Hessian. The objective's is curvature J'J, so that 1 / s^2 has the weight curvature v. What the model
     lacks, such as play, is no noise of the measurement, but scatters as one: v is that of the residuals, as the fit leaves them.
-    It is found from above, beginning at nominal: where points are few, an exact fit of them is no sign of exact points.
+    It is found from above, beginning at nominal, and from below, beginning where the points alone lead: parts that are worse than
+    their tolerances say look like noise from above, exact fits of few points like exact points from below. The likelier stands.
     """
     sd = prior_sd(problem.parameters, math.inf, math.inf)
     if not np.isfinite(sd).any():
         return None
-    x = np.zeros(len(sd))
-    prior = Prior(np.array([parameter.made / parameter.scale for parameter in problem.parameters]), x, 1.0)
-    noise = noise_scale(objective, problem.residuals(x), np.zeros((len(problem), 3, 3)))
-    settling = Settling(FITS_MOST)
+    nominal = np.zeros(len(sd))
+    made = Prior(np.array([parameter.made / parameter.scale for parameter in problem.parameters]), np.zeros(len(sd)), 1.0)
+    sample = PoseSample(problem, objective)
+    alone = descend(sample, nominal, _fine(sample)).x
+    all_noise = noise_scale(objective, problem.residuals(nominal), np.zeros((len(problem), 3, 3)))
+    ends = [
+        _against_noise(sample, made, sd, x, noise) for x, noise in ((nominal, all_noise), (alone, _noise_left(sample, alone)[0]))
+    ]
+    return max(ends, key=lambda end: end[1])[0]
+
+
+def _against_noise(sample: PoseSample, prior: Prior, sd: Array, x: Array, noise: NoiseScale) -> tuple[Prior, float]:
+    """The prior against the noise that its fit leaves, found by steps from unknowns `x` (k,) and a first noise on, and ln of its
+    evidence: minus infinity where the points are too few to tell a noise.
+    """
+    settling, evidence = Settling(FITS_MOST), -math.inf
     while noise.variance_m2 > 0.0 and settling.goes_on:
-        prior = replace(prior, square_m2=noise.variance_m2 / sd**2, curvature=noise.curvature)
-        sample = PoseSample(problem, objective, prior=prior)
+        before = noise.variance_m2
+        prior = replace(prior, square_m2=before / sd**2, curvature=noise.curvature)
+        sample = replace(sample, prior=prior)
         x = descend(sample, x, _fine(sample)).x
-        sensitivity, before = Sensitivity.at(problem, x), noise.variance_m2
-        spread = determinability(_known(sensitivity.compact, prior), problem.parameters).spread
-        shares = np.concatenate([leverages(part, spread) for _, part in sensitivity.blocks()])
-        noise = noise_scale(objective, sample.residuals(x), shares)
-        change = abs(math.log(noise.variance_m2 / before)) if noise.variance_m2 > 0.0 else 0.0
-        settling.takes(change, SETTLED)
-    return prior
+        noise, evidence = _noise_left(sample, x)
+        settling.takes(abs(math.log(noise.variance_m2 / before)) if noise.variance_m2 > 0.0 else 0.0, SETTLED)
+    return prior, evidence
+
+
+def _noise_left(sample: PoseSample, x: Array) -> tuple[NoiseScale, float]:
+    """The noise of a fit, and ln of the evidence of normal noise of its size: over all unknowns, by Laplace's method, without
+    what is the same for every noise.
+    """
+    problem, prior, residuals = sample.problem, sample.prior, sample.residuals(x)
+    sensitivity = Sensitivity.at(problem, x)
+    spread = determinability(_known(sensitivity.compact, prior), problem.parameters).spread
+    shares = np.concatenate([leverages(part, spread) for _, part in sensitivity.blocks()])
+    noise = noise_scale(sample.objective, residuals, shares)
+    square, count = float(np.sum(residuals**2)), residuals.size
+    variance = square / max(count - float(np.einsum("ijj->", shares)), 1.0)
+    if not variance > 0.0:
+        return noise, -math.inf
+    precision = prior_sd(problem.parameters) ** -2.0
+    flat = sensitivity.compact.reshape(-1, len(x))
+    volume = np.linalg.slogdet(flat.T @ flat / variance + np.diag(precision))[1]
+    off = x if prior is None else x - prior.mean
+    return noise, -0.5 * float(count * math.log(variance) + square / variance + precision @ off**2 + volume)
 
 
 def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:

@@ -31,7 +31,7 @@ from control.model.drive import NonNegative
 from control.model.effects import backlash_rad, compliance_rad
 from control.model.reader import Rejected, read_table
 from control.model.rules import Rule
-from control.model.tolerances import JointTolerances, Spread, Tolerances, check_tolerances, spreads
+from control.model.tolerances import AnyTable, JointTolerances, Spread, Tolerances, check_tolerances, spreads
 
 # tolerances.toml: the tables of [tolerances] in arm.toml (control.model.tolerances), and how the arm will be calibrated.
 
@@ -95,8 +95,8 @@ def parse_tolerances(text: str, where: str, arm: Arm) -> TolerancesFile:
         hint = ", such as { within = 2e-4 }" if error.expected == "a table" else hint
         place = ".".join(map(str, error.path))
         raise TolerancesFileError(f"{where}: {place}: expected {error.expected}, got {error.got}{hint}") from None
-    tables = (made.every_link, made.every_joint, *made.link.values(), *made.joint.values(), made.tool)
-    if not any(map(spreads, tables)):
+    tables: tuple[AnyTable, ...] = (made.every_link, made.every_joint, *made.link.values(), *made.joint.values(), made.tool)
+    if not any(spreads(table) for table in tables):
         raise TolerancesFileError(
             f"{where}: no tolerance: expected some in [every_link], [every_joint], [link.2], [joint.1] or [tool]"
         )

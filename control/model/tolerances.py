@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-T = TypeVar("T")
+Table = TypeVar("Table", bound="LinkTolerances | JointTolerances")
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,19 +136,22 @@ class ArmTolerances(Tolerances):
         return dataclasses.replace(self, about=about, link=link)
 
 
-def _overridden(every: T, special: T | None) -> T:
+AnyTable = LinkTolerances | JointTolerances | ToolTolerances
+
+
+def _overridden(every: Table, special: Table | None) -> Table:
     if special is None:
         return every
     said = {key: value for key, value in spreads_and_more(special).items() if value is not None}
-    return dataclasses.replace(every, **said)  # type: ignore[type-var]  # each is a dataclass
+    return dataclasses.replace(every, **said)
 
 
-def spreads_and_more(table: object) -> dict[str, Any]:
+def spreads_and_more(table: AnyTable) -> dict[str, Any]:
     """The values of a table, by key."""
-    return {each.name: getattr(table, each.name) for each in dataclasses.fields(table)}  # type: ignore[arg-type]
+    return {each.name: getattr(table, each.name) for each in dataclasses.fields(table)}
 
 
-def spreads(table: object) -> list[tuple[str, Spread]]:
+def spreads(table: AnyTable) -> list[tuple[str, Spread]]:
     """The distributions of a table, by key."""
     return [(key, value) for key, value in spreads_and_more(table).items() if isinstance(value, Spread)]
 
@@ -167,7 +170,7 @@ def check_tolerances(made: Tolerances, links: int, joints: int, fault: Fault) ->
         for name in tables:
             if name not in map(str, range(1, count + 1)):
                 raise fault((kind, name), f"a number from 1 to {count}: the arm has {count} {kind}s", name)
-    named: list[tuple[tuple[str, ...], object]] = [(("every_link",), made.every_link), (("every_joint",), made.every_joint)]
+    named: list[tuple[tuple[str, ...], AnyTable]] = [(("every_link",), made.every_link), (("every_joint",), made.every_joint)]
     named += [(("link", name), table) for name, table in made.link.items()]
     named += [(("joint", name), table) for name, table in made.joint.items()]
     for path, table in (*named, (("tool",), made.tool)):

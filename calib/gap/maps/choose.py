@@ -26,7 +26,7 @@ from calib.arrays import Array, Mask, rms
 from calib.calibration.calibrate import with_base_frame
 from calib.gap.effects.record import load_of
 from calib.gap.finding import MapCheck
-from calib.gap.poses.linear import Fit, FREE_sd, along_joint, by_joints
+from calib.gap.poses.linear import Fit, along_joint, by_joints
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.posterior.constants import LARGE, PAYS, CHECKED_sd, SURE_sd
 from calib.identify.objective import LeastSquares
@@ -386,7 +386,7 @@ def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, mapp
         columns = candidate.columns(there.place(candidate.joint, candidate.over), there.direction(candidate.joint)).toarray()
         moved = there.by_joint[:, :, candidate.joint - 1, None] * columns[:, None, :]
         tables.append(moved.reshape(rows, -1) * (USUAL_rad / noise))
-    precision = prior_sd(problem.parameters, 1.0, FREE_sd) ** -2.0
+    precision = prior_sd(problem.parameters, 1.0) ** -2.0
     return MapRows(
         residual.ravel() / noise,
         -jacobian.reshape(rows, -1) / noise,

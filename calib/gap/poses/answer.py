@@ -132,6 +132,9 @@ def _files(
         less = dataclasses.replace(decision, names=names, remainders=remainders)
         return _files(looked, given, less, kept, beside, firmer, {**reasons, **why})
 
+    def without(name: EffectName) -> File:
+        return File.of(arm, points, rows, {key: value for key, value in named.items() if key != name}, beside, firmer)
+
     def left(file: File) -> float:
         return _square(file.fit.residuals(), looked.floor, looked.parts.report)
 
@@ -148,8 +151,7 @@ def _files(
         last = min(last.unshared, last, key=left)
     if keys and left(last) > (1.0 + GROWS) * _square(given.residuals(), looked.floor, looked.parts.report):
         # no file that predicts worse than the arm as it was given: without the name that it is best without
-        rest = {name: {key: value for key, value in named.items() if key != name} for name in keys}
-        worst = min(keys, key=lambda name: left(File.of(arm, points, rows, rest[name], beside, firmer)))
+        worst = min(keys, key=lambda name: left(without(name)))
         return fewer({worst: f"{worst} as identified predicts other poses worse than the arm as it was given"})
     if not keys and not last.arm.maps:
         # What has no name does not stand in the file: a geometry that gains no more than by chance is one fitted to noise.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import prior_sd
+from calib.arm_problem.arm_model import FREE_sd, prior_sd
 from calib.arm_problem.posed import PosedProblem
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, rms
@@ -174,9 +174,6 @@ def by_joints(fit: Fit) -> tuple[Array, Array]:
     return np.asarray(by_dh[:, :, theta]), np.asarray(by_dh[:, :, theta - 1])
 
 
-FREE_sd = 1e3  # of an unknown without a bound, in its own scale
-
-
 @dataclass(frozen=True, slots=True)
 class Linear:
     """Around a fit, of its R rows: geometry `base` (3R, K), values `y` (3R,) and columns (3R, p) in metres, weights (R, 3, 3).
@@ -216,7 +213,7 @@ class Linear:
         ends = np.cumsum([term.count for term in terms])
         places = tuple(slice(int(end) - term.count, int(end)) for term, end in zip(terms, ends, strict=True))
         precision = np.full(count, FREE_sd**-2.0)
-        precision[: len(fit.x)] = prior_sd(fit.problem.parameters, 1.0, FREE_sd) ** -2.0
+        precision[: len(fit.x)] = prior_sd(fit.problem.parameters, 1.0) ** -2.0
         known = measured.residual if moved is None else measured.residual + measured.rows_of(moved)
         y = known.ravel() + base[:, : len(fit.x)] @ fit.x
         root = np.tile(np.eye(3), (len(measured.pose), 1, 1)) if weight is None else weight
