@@ -493,7 +493,9 @@ def _check_tolerances(arm: Arm) -> None:
     if made.about and len(made.about) != len(arm.links):
         raise fault(("about",), f"a row for each of the {len(arm.links)} links", f"{len(made.about)} of them")
     check_tolerances(made, len(arm.links), arm.joint_count, fault)
-    for number in range(1, len(arm.links) + 1):
-        for key, spread in spreads(made.of_link(number)):
+    tables = [("every_link", spreads(made.of_link(number + 1))) for number in range(len(arm.links))]
+    tables += [("every_joint", spreads(made.of_joint(number + 1))) for number in range(arm.joint_count)]
+    for name, stated in tables:
+        for key, spread in stated:
             if spread.sd_about == 0.0:
-                raise fault(("every_link", key), "a deviation above 0; without the key it is unknown", "0")
+                raise fault((name, key), "a deviation above 0; without the key it is unknown", "0")

@@ -334,6 +334,10 @@ def test_a_counter_too_narrow_for_the_count_at_its_index_is_refused() -> None:
         ("[tolerances.link.9]\nL_m = { sd = 1e-3 }", "link.9: expected a number from 1 to 4"),
         ("[tolerances.every_link]\nL_m = { sd = 1e-3, within = 1e-3 }", "every_link.L_m: expected one of { within }, { sd }"),
         ("[tolerances.every_link]\nL_m = { sd = 0.0 }", "every_link.L_m: expected a deviation above 0"),
+        (
+            "[tolerances.every_joint]\nencoder_zero_rad = { within = 0.0 }",
+            "every_joint.encoder_zero_rad: expected a deviation above 0",
+        ),
         ("[tolerances.every_joint]\nbacklash_rad = { sd = 1e-3 }", "every_joint.backlash_rad: expected no value below 0"),
         ("[tolerances]\nabout = [[0.0, 0.0, 0.4, 0.0]]", "about: expected a row for each of the 4 links"),
     ],
