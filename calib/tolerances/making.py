@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -95,6 +95,27 @@ def parse_tolerances(text: str, where: str, arm: Arm) -> TolerancesFile:
         hint = ", such as { within = 2e-4 }" if error.expected == "a table" else hint
         place = ".".join(map(str, error.path))
         raise TolerancesFileError(f"{where}: {place}: expected {error.expected}, got {error.got}{hint}") from None
+    return _usable(made, where, arm)
+
+
+def own_tolerances(arm: Arm) -> TolerancesFile:
+    """Those of [tolerances] in an arm's file. TolerancesFileError where it has none."""
+    stated, where = arm.tolerances, str(arm.path or arm.name)
+    if stated is None:
+        raise TolerancesFileError(
+            f"--design: give --tolerances, a file that says how exactly the parts are made; or write [tolerances] into {where}"
+        )
+    parts = {each.name: getattr(stated, each.name) for each in fields(Tolerances)}
+    return _usable(TolerancesFile(**parts), where, arm)
+
+
+def as_designed(arm: Arm) -> Arm:
+    """The arm with the links that it was to have, where `calibrate` has written into its file those that it has."""
+    return arm.with_dh(np.array(arm.tolerances.about)) if arm.tolerances is not None and arm.tolerances.about else arm
+
+
+def _usable(made: TolerancesFile, where: str, arm: Arm) -> TolerancesFile:
+    """With the camera's noise, if it states none."""
     tables: tuple[AnyTable, ...] = (made.every_link, made.every_joint, *made.link.values(), *made.joint.values(), made.tool)
     if not any(spreads(table) for table in tables):
         raise TolerancesFileError(
@@ -104,8 +125,8 @@ def parse_tolerances(text: str, where: str, arm: Arm) -> TolerancesFile:
         return made
     if arm.camera is None:
         raise TolerancesFileError(
-            f"{where}: [calibration] noise_m is missing, and arm {arm.name} has no [camera]: expected the standard deviation of"
-            " one axis of the measured tip in m"
+            f"{where}: noise_m is missing: expected the standard deviation of one axis of the measured tip in m, as"
+            f" position_noise_m in [camera] of arm {arm.name}, or as noise_m in [calibration] of a file for --tolerances"
         )
     return replace(made, calibration=replace(made.calibration, noise_m=arm.camera.position_noise_m))
 

@@ -110,7 +110,10 @@ ASSESSING = (
             payload("mass at the tip that the map is made for (default: 0); may be repeated", action="append"),
             BOARDS,
             option("--design A", "arm.toml of an arm to be built, instead of --arm"),
-            option("--tolerances T", "with --design: tolerances of the parts; a file, or `right`"),
+            option(
+                "--tolerances T",
+                "with --design: tolerances of the parts; a file, or `right` (default: [tolerances] of the arm.toml)",
+            ),
             option("--arms N", "with --design: how many arms are drawn (default: 2000)", type=int),
             option("--seed N", "with --design: seed of the arms (default: 0)", type=int),
             option("--workers K", "with --design: processes (default: all processors)", type=int),

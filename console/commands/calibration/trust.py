@@ -11,7 +11,7 @@ from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import Points
 from calib.results import InputFile, input_file, made_today, write_json
 from calib.studies import ChunkStore, executor, run_study
-from calib.tolerances.making import parse_tolerances, tolerances_text
+from calib.tolerances.making import TolerancesFile, as_designed, own_tolerances, parse_tolerances, tolerances_text
 from calib.tolerances.result import FORMAT as TOLERANCES
 from calib.tolerances.result import as_text as tolerances_words
 from calib.tolerances.result import made_json, made_of, tolerances_report, warnings_about
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 def _require_points(args: argparse.Namespace) -> None:
     if not args.points:
         raise CalibrationError(
-            "--points: give points.csv of the real arm; or --design and --tolerances for an arm that is not built"
+            "--points: give points.csv of the real arm; or --design, an arm.toml with [tolerances], for an arm that is not built"
         )
     for name in OPTIONS:
         if getattr(args, name) is not None:
@@ -101,12 +101,16 @@ def study_design(args: argparse.Namespace) -> int:
     _require_ours(args)
     arm, out = load_arm(args.design), Path(args.out)
     require_new(out, DESIGN_RESULTS)
-    text = tolerances_text(args.tolerances)
-    wanted_m = length_m(args.tolerance, "--tolerance")
-    design = _design(args, arm, text)
-    require_near(design, args.tolerances)
+    wanted_m, inputs = length_m(args.tolerance, "--tolerance"), {Path(args.design).name: _hash(arm_text(arm))}
+    if args.tolerances is None:
+        tolerances, arm = own_tolerances(arm), as_designed(arm)
+    else:
+        text = tolerances_text(args.tolerances)
+        tolerances = parse_tolerances(text, args.tolerances, arm)
+        inputs[Path(args.tolerances).name] = _hash(text)
+    design = _design(args, arm, tolerances)
+    require_near(design, args.tolerances or args.design)
     warnings = warnings_about(design)
-    inputs = {Path(args.design).name: _hash(arm_text(arm)), Path(args.tolerances).name: _hash(text)}
     with executor(design.tasks, args.workers, args.cluster) as runs, Bar("arms") as bar:
         store = ChunkStore(out / CHUNKS, _about(design, inputs))
         run_study(study_task, design, design.tasks, runs, store, bar.advance)
@@ -124,8 +128,6 @@ def study_design(args: argparse.Namespace) -> int:
 
 
 def _require_ours(args: argparse.Namespace) -> None:
-    if args.tolerances is None:
-        raise CalibrationError("--design: give --tolerances, a file that says how exactly the parts are made")
     for name in NOT_OURS:
         if getattr(args, name):
             raise CalibrationError(f"--{name}: needs --points of the real arm, and no --design")
@@ -137,12 +139,11 @@ def _require_ours(args: argparse.Namespace) -> None:
         raise CalibrationError(f"--seed: expected 0 or more, got {args.seed}")
 
 
-def _design(args: argparse.Namespace, arm: Arm, text: str) -> StudyDesign:
+def _design(args: argparse.Namespace, arm: Arm, tolerances: TolerancesFile) -> StudyDesign:
     (payload_kg,) = args.payload or (0.0,)
     if payload_kg < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
     recorded_q = points_for(arm, [Path(name) for name in args.points])[0].q_rad if args.points else None
-    tolerances = parse_tolerances(text, args.tolerances, arm)
     return design_of(arm, tolerances, args.arms or ARMS, payload_kg, recorded_q, args.seed or 0)
 
 

@@ -3,12 +3,15 @@
 import contextlib
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from console.main import main
+from control.model.description import load_arm, save_arm
+from control.model.tolerances import ArmTolerances, JointTolerances, Spread
 
 TOLERANCES = "[joint.2]\nbacklash_rad = { from = 1e-3, to = 2e-3 }\nencoder_zero_rad = { sd = 2e-3 }\n"
 
@@ -70,10 +73,27 @@ def test_a_study_that_was_stopped_is_finished_and_another_one_refused(
         assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
 
 
+def test_without_a_file_the_tolerances_of_the_arm_count(
+    line: list[str], whole: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loose = JointTolerances(encoder_zero_rad=Spread(sd=2e-3), backlash_rad=Spread(lowest=1e-3, highest=2e-3))
+    right = load_arm("right")
+    designed = tuple((link.d_m, link.theta_rad, link.L_m, link.alpha_rad) for link in right.links)
+    calibrated = right.with_dh(right.dh + 1e-3)  # what was built since is not what is studied
+    own = replace(calibrated, tolerances=ArmTolerances(joint={"2": loose}, about=designed))
+    save_arm(own, tmp_path / "mine.toml")
+    study = ["trust", "--design", str(tmp_path / "mine.toml"), *line[line.index("--arms") :], "--out", str(tmp_path / "out")]
+    assert main(study) == 0
+    figures, of_file = (json.loads((out / "tolerances.json").read_text()) for out in (tmp_path / "out", whole[0]))
+    assert list(figures["inputs"]) == ["mine.toml"]
+    assert figures["stages"] == of_file["stages"]
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         (["--design", "right"], "--design: give --tolerances"),
+        (["--design", "so101"], "noise_m is missing: expected"),
         (["--tolerances", "right"], "--points: give points.csv of the real arm; or --design"),
         (["--points", "p.csv", "--arms", "100"], "--arms: belongs to --design"),
         (["--design", "right", "--tolerances", "none.toml"], "none.toml: cannot be read"),
