@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from benchmarks.loop.memory_link import MemoryBus, MemoryByteLink, MemoryFrameLink, byte_pair
 from control.hardware.boards import BoardHardware
-from control.hardware.connect import reference_hardware
+from control.hardware.connect import add_reference
+from control.hardware.roles import Opened
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
@@ -107,4 +108,6 @@ class MemoryRig:
         motors = [MotorBoard(bus, drive.motor_node) for drive in arm.drives]
         for motor in motors:
             motor.identify()
-        return reference_hardware(arm, self.clock, [encoder], bus, motors, period_s)
+        opened = Opened(arm, self.clock, period_s)
+        add_reference([encoder], [(bus, motor) for motor in motors], opened)
+        return BoardHardware(opened)

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode
-from control.hardware.roles import AskedLine, Drives, Encoders, Line
+from control.hardware.roles import AskedLine, Opened
 from control.hardware.words import Wanted
-from firmware_iface.clock import Clock
+from control.model.arm import Arm
 from firmware_iface.errors import LinkError, LinkLost, Problems
 
 LOOK_AGAIN_S = 0.1  # until a link that is gone is asked again: half of the boards' usual watchdog
@@ -22,29 +22,19 @@ NO_END = EndBoards()
 class BoardHardware:
     """Implements `control.hardware.interface.Hardware` on boards; made and checked by control.hardware.connect."""
 
-    def __init__(
-        self,
-        joint_count: int,
-        encoders: Sequence[Encoders],
-        drives: Sequence[Drives],
-        lines: Sequence[Line],
-        clock: Clock,
-        polled: Sequence[AskedLine] = (),
-        offers: frozenset[OutputMode] = frozenset(OutputMode),
-        end: EndBoards = NO_END,
-    ) -> None:
-        """`lines`: in the order in which they are drained; those also in `polled` are attended to between the cycles.
+    def __init__(self, opened: Opened, end: EndBoards = NO_END) -> None:
+        """Lines are drained in the order in which they were opened, and those in `polled` attended to between the cycles.
 
         Every joint has one of the encoders and one of the drives.
         """
-        self.feedback = Feedback(joint_count)
-        self.offers = offers
-        self._polled = tuple(polled)
+        self.feedback = Feedback(len(opened.arm.drives))
+        self.offers = _offers(opened.arm)
+        self._polled = tuple(opened.polled)
         self.end = end
-        self._encoders, self._drives, self._lines = tuple(encoders), tuple(drives), tuple(lines)
-        self._encoder_of = {joint: encoder for encoder in encoders for joint in encoder.joints}
-        self._drive_of = {joint: drive for drive in drives for joint in drive.joints}
-        self._clock = clock
+        self._encoders, self._drives, self._lines = tuple(opened.encoders), tuple(opened.drives), tuple(opened.lines)
+        self._encoder_of = {joint: encoder for encoder in self._encoders for joint in encoder.joints}
+        self._drive_of = {joint: drive for drive in self._drives for joint in drive.joints}
+        self._clock = opened.clock
         self.wanted = Wanted.AS_FOUND
         """Of the last `write`."""
         self._problems = Problems()
@@ -216,3 +206,13 @@ class BoardHardware:
     def _configure(self) -> None:
         for drive in self._drives:
             drive.configure(self._fresh_count)
+
+
+def _offers(arm: Arm) -> frozenset[OutputMode]:
+    """What every drive of the arm can be commanded to do; a board that cannot hold, or open its circuit, brakes instead."""
+    kinds = [arm.kind_of(drive) for drive in arm.drives]
+    offers = {OutputMode.HOLD, OutputMode.OFF}
+    for mode in (OutputMode.VOLTAGE, OutputMode.CURRENT, OutputMode.POSITION):
+        if all(mode.name.lower() in kind.modes for kind in kinds):
+            offers.add(mode)
+    return frozenset(offers)

@@ -10,12 +10,12 @@ from typing import Final
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop, knows_motor
-from control.hardware.boards import NO_END, BoardHardware
+from control.hardware.boards import BoardHardware
 from control.hardware.bought import cia402, moteus, odrive, roboclaw, vesc
 from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.gripper_board import GripperBoard, GripperHardware
 from control.hardware.gripper_on_board import gripper_of
-from control.hardware.interface import EndBoards, NamedPins, OutputMode
+from control.hardware.interface import EndBoards, NamedPins
 from control.hardware.reference_boards import DriveWiring, ReferenceDrives, ReferenceEncoders, start_stream
 from control.hardware.roles import Line, Opened, collect
 from control.hardware.tip_camera import TipCamera, open_camera
@@ -93,12 +93,12 @@ def connect(
         MissingModel: arm.toml does not describe the wiring.
     """
     _require_wiring(arm)
-    opened = Opened()
-    encoders = [board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None]
+    opened = Opened(arm, clock, period_s)
+    encoders = [board for port in arm.encoder_boards if (board := _encoder(port, opened)) is not None]
     problems = None if shared_bus is None else Problems()
-    motors = _motors(arm, clock, opened, shared_bus, problems)
-    open_boards(arm, clock, period_s, opened)
-    end = _end_boards(arm, motors, period_s, opened)
+    motors = _motors(opened, shared_bus, problems)
+    open_boards(opened)
+    end = _end_boards(motors, opened)
     camera: TipCamera | None = None
     if not opened.failures and camera_port is not None:
         with collect(opened.failures):
@@ -111,68 +111,39 @@ def connect(
         for close in opened.closers:
             close()
         raise ConnectionFailed(opened.failures)
-    _add_reference(arm, clock, encoders, motors, period_s, opened, problems)
+    add_reference(encoders, motors, opened, problems)
     boards, others = tuple(motor for _, motor in motors), tuple(opened.identities)
-    hardware = _composed(arm, clock, opened, end)
-    return Connection(hardware, camera, tuple(encoders), boards, others, opened.closers)
+    return Connection(BoardHardware(opened, end), camera, tuple(encoders), boards, others, opened.closers)
 
 
-def reference_hardware(
-    arm: Arm,
-    clock: Clock,
-    encoders: Sequence[EncoderBoard],
-    bus: MotorBus,
-    motors: Sequence[MotorBoard],
-    period_s: float,
-    end: EndBoards = NO_END,
-) -> BoardHardware:
-    """The hardware of identified reference boards: `encoders` in the order of arm.toml, `motors` in that of the drives."""
-    opened = Opened()
-    _add_reference(arm, clock, encoders, [(bus, motor) for motor in motors], period_s, opened)
-    return _composed(arm, clock, opened, end)
-
-
-def _add_reference(
-    arm: Arm,
-    clock: Clock,
+def add_reference(
     encoders: Sequence[EncoderBoard],
     motors: Sequence[tuple[MotorBus, MotorBoard]],
-    period_s: float,
     opened: Opened,
     problems: list[LinkError] | None = None,
 ) -> None:
-    """Put the reference boards before the others: what they have received waits in the kernel, and is read first."""
+    """Put the reference boards before the others: what they have received waits in the kernel, and is read first.
+
+    `encoders`: in the order of arm.toml; `motors`: in that of the drives; `problems`: of these motors alone, on a shared bus.
+    """
+    arm = opened.arm
     counters = [
-        ReferenceEncoders(board, channels, clock, period_s, arm.limits.stale_s)
+        ReferenceEncoders(board, channels, opened.clock, opened.period_s, arm.limits.stale_s)
         for index, board in enumerate(encoders)
         if (channels := _channels(arm, index))
     ]
     opened.encoders[:0] = counters
     lines: list[Line] = [*counters]
     if motors:
-        driven = [(joint, drive) for joint, drive in enumerate(arm.drives) if not drive.board]
+        driven = [drive for drive in arm.drives if not drive.board]
         wiring = [
-            DriveWiring(joint, motor, drive, volt_gains_of(arm, drive.joint))
-            for (joint, drive), (_, motor) in zip(driven, motors, strict=True)
+            DriveWiring(drive.joint - 1, motor, drive, volt_gains_of(arm, drive.joint))
+            for drive, (_, motor) in zip(driven, motors, strict=True)
         ]
-        drives = ReferenceDrives(arm, motors[0][0], wiring, clock, period_s, problems)
+        drives = ReferenceDrives(opened, motors[0][0], wiring, problems)
         opened.drives.insert(0, drives)
         lines.append(drives)
     opened.lines[:0] = lines
-
-
-def _composed(arm: Arm, clock: Clock, opened: Opened, end: EndBoards) -> BoardHardware:
-    return BoardHardware(len(arm.drives), opened.encoders, opened.drives, opened.lines, clock, opened.polled, _offers(arm), end)
-
-
-def _offers(arm: Arm) -> frozenset[OutputMode]:
-    """What every drive of the arm can be commanded to do; a board that cannot hold, or open its circuit, brakes instead."""
-    kinds = [arm.kind_of(drive) for drive in arm.drives]
-    offers = {OutputMode.HOLD, OutputMode.OFF}
-    for mode in (OutputMode.VOLTAGE, OutputMode.CURRENT, OutputMode.POSITION):
-        if all(mode.name.lower() in kind.modes for kind in kinds):
-            offers.add(mode)
-    return frozenset(offers)
 
 
 def _channels(arm: Arm, board: int) -> dict[int, int]:
@@ -195,11 +166,12 @@ def _require_wiring(arm: Arm) -> None:
             )
 
 
-def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> EncoderBoard | None:
+def _encoder(port: EncoderBoardPort, opened: Opened) -> EncoderBoard | None:
+    arm = opened.arm
     try:
         link = open_serial(port.port, port.baud)
         opened.closers.append(link.close)
-        board = EncoderBoard(link, clock, port.name)
+        board = EncoderBoard(link, opened.clock, port.name)
         identity = board.identify(serial_number=port.serial_number)
         index = arm.encoder_boards.index(port)
         for drive in (d for d in arm.drives if d.encoder_board == index):
@@ -218,15 +190,16 @@ def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> 
 
 
 def _motors(
-    arm: Arm, clock: Clock, opened: Opened, shared_bus: Callable[[CanBus], MotorBus] | None, problems: list[LinkError] | None
+    opened: Opened, shared_bus: Callable[[CanBus], MotorBus] | None, problems: list[LinkError] | None
 ) -> list[tuple[MotorBus, MotorBoard]]:
     """The reference motor boards, in the order of their drives; on a shared bus with a list of `problems` of their own."""
+    arm = opened.arm
     drives = [drive for drive in arm.drives if not drive.board]
     if arm.can is None or not drives:
         return []
     motors: list[tuple[MotorBus, MotorBoard]] = []
     with collect(opened.failures):
-        bus = _own_bus(arm.can, clock, opened) if shared_bus is None else shared_bus(arm.can)
+        bus = _own_bus(arm.can, opened) if shared_bus is None else shared_bus(arm.can)
         for drive in drives:
             with collect(opened.failures):
                 board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}", problems)
@@ -239,15 +212,16 @@ def _motors(
     return motors
 
 
-def _own_bus(can: CanBus, clock: Clock, opened: Opened) -> MotorBus:
+def _own_bus(can: CanBus, opened: Opened) -> MotorBus:
     link = open_can(can.interface, can.channel, can.bitrate, **can.options)
     opened.closers.append(link.close)
-    return MotorBus(link, clock)
+    return MotorBus(link, opened.clock)
 
 
-def _end_boards(arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, opened: Opened) -> EndBoards:
+def _end_boards(motors: Sequence[tuple[MotorBus, MotorBoard]], opened: Opened) -> EndBoards:
     """The gripper's board and the pins of all boards, checked against arm.toml."""
-    gripper: GripperHardware | None = gripper_of(arm, opened)
+    arm = opened.arm
+    gripper: GripperHardware | None = gripper_of(opened)
     if not motors:
         return EndBoards(gripper)
     bus, boards, failures = motors[0][0], {board.node: board for _, board in motors}, opened.failures
@@ -264,7 +238,7 @@ def _end_boards(arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_
                 )
             board.find_state()
             boards[board.node] = board
-            stop = board_stop(arm, period_s)
+            stop = board_stop(arm, opened.period_s)
             gripper = GripperBoard(arm.gripper, board, problems, arm.limits.watchdog_s, stop)
     return EndBoards(gripper, _pins(arm, bus, boards, failures))
 
@@ -288,8 +262,8 @@ def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None
         )
 
 
-Opener = Callable[[Arm, Sequence[Board], Clock, float, Opened], None]
-"""Opens all boards of one kind for a cycle of so many seconds; failures are collected, not raised."""
+Opener = Callable[[Sequence[Board], Opened], None]
+"""Opens all boards of one kind; failures of single boards are collected. LinkError if there is no bus for any."""
 
 OPENERS: Final[Mapping[str, Opener]] = {
     "roboclaw": roboclaw.open_boards,
@@ -302,11 +276,11 @@ OPENERS: Final[Mapping[str, Opener]] = {
 }
 
 
-def open_boards(arm: Arm, clock: Clock, period_s: float, opened: Opened) -> None:
+def open_boards(opened: Opened) -> None:
     """Open every [[board]] that drives a joint, or the gripper as one joint more."""
-    arm = replace(arm, drives=arm.motors)
-    named = {drive.board for drive in arm.drives}
+    named = {drive.board for drive in opened.arm.motors}
     for kind, opener in OPENERS.items():
-        boards = [board for board in arm.boards if board.kind == kind and board.name in named]
+        boards = [board for board in opened.arm.boards if board.kind == kind and board.name in named]
         if boards:
-            opener(arm, boards, clock, period_s, opened)
+            with collect(opened.failures):
+                opener(boards, opened)

@@ -11,7 +11,7 @@ from control.hardware.gripper_board import CountedTravel, GripperFeedback, Torqu
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import Drives, Encoders, Opened, collect
 from control.hardware.words import OPERATION_ENABLED, STATE_MASK, ZERO_SET
-from control.model.arm import Arm, Drive
+from control.model.arm import Drive
 from control.model.end_effector import Gripper
 from control.model.joint_map import JointMap
 from firmware_iface.errors import BoardFaulted, BoardReset
@@ -122,8 +122,9 @@ class PlacedOnBoard(GripperOnBoard):
             self._send(OutputMode.POSITION, self._map.radians(count))
 
 
-def gripper_of(arm: Arm, opened: Opened) -> GripperOnBoard | None:
+def gripper_of(opened: Opened) -> GripperOnBoard | None:
     """The arm's gripper, if a bought board drives it: its drive and encoder are taken out of those that were opened."""
+    arm = opened.arm
     gripper, joint = arm.gripper, arm.joint_count
     drive = next((one for one in opened.drives if joint in one.joints), None)
     encoder = next((one for one in opened.encoders if joint in one.joints), None)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from control.dynamics.gains import Gains
 from control.hardware.board_stop import board_stop, can_hold
 from control.hardware.interface import Feedback, OutputMode
+from control.hardware.roles import Opened
 from control.hardware.words import Wanted
-from control.model.arm import Arm, Drive
+from control.model.arm import Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
@@ -134,13 +135,7 @@ class ReferenceDrives:
     """The motor boards of one bus; meets `control.hardware.roles.Drives` and `Line`."""
 
     def __init__(
-        self,
-        arm: Arm,
-        bus: MotorBus,
-        wiring: Sequence[DriveWiring],
-        clock: Clock,
-        period_s: float,
-        problems: list[LinkError] | None = None,
+        self, opened: Opened, bus: MotorBus, wiring: Sequence[DriveWiring], problems: list[LinkError] | None = None
     ) -> None:
         """`problems`: those of these boards alone, if others on the bus belong to another arm."""
         self.joints = tuple(wired.joint for wired in wiring)
@@ -148,12 +143,11 @@ class ReferenceDrives:
         self._wiring = tuple(wiring)
         self._pairs = tuple((wired.joint, wired.motor, float(wired.drive.motor_direction)) for wired in wiring)
         self._motor_of = {wired.joint: wired.motor for wired in wiring}
-        self._clock = clock
-        self._period_s = period_s
+        self._clock, self._period_s = opened.clock, opened.period_s
         self._maps = {wired.joint: JointMap(wired.drive) for wired in wiring}
         self._motor_maps = {wired.joint: JointMap(wired.drive.at_motor) for wired in wiring}
-        self._board_stop = board_stop(arm, period_s)
-        self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
+        self._board_stop = board_stop(opened.arm, opened.period_s)
+        self._watchdog_ms = round(opened.arm.limits.watchdog_s * 1e3)
         self._serial_numbers = {
             wired.joint: None if wired.motor.identity is None else wired.motor.identity.serial_number for wired in wiring
         }
@@ -162,7 +156,7 @@ class ReferenceDrives:
         # entry of `wiring` whose motor board was asked for its count, and the encoder's count then
         self._asked: tuple[int, int] | None = None
         self._ask_next, self._ask_in = 0, 0
-        self._ask_every = max(1, round(ASK_COUNT_S / period_s))
+        self._ask_every = max(1, round(ASK_COUNT_S / opened.period_s))
 
     # ---- every cycle
 

@@ -3,17 +3,19 @@
 A board that has both meets both Protocols. Joints are 0-based numbers of the arm; each object writes the entries of its own
 joints into the arm's `Feedback` and reads those of the arm's outputs. Counts keep the encoder's sense; volts and amperes
 carry the joint's sign, which each driver makes of its wiring. What the
-openers of all kinds of boards add to while an arm is connected is `Opened`.
+openers of all kinds of boards are given, and add to while an arm is connected, is `Opened`.
 """
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from control.hardware.interface import Attended, Feedback, OutputMode
 from control.hardware.words import Wanted
+from control.model.arm import Arm, Board, Drive
+from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 
 
@@ -163,8 +165,11 @@ class Drives(Protocol):
 
 @dataclass(slots=True)
 class Opened:
-    """Encoders, drives and lines that were opened, what closes the links, who answered, and what failed."""
+    """What was opened of an arm's boards for a cycle of `period_s`: encoders, drives and lines, who answered, what failed."""
 
+    arm: Arm
+    clock: Clock
+    period_s: float
     encoders: list[Encoders] = field(default_factory=list)
     drives: list[Drives] = field(default_factory=list)
     lines: list[Line] = field(default_factory=list)
@@ -172,6 +177,11 @@ class Opened:
     identities: list[tuple[str, str]] = field(default_factory=list)  # where, what the board says of itself
     closers: list[Callable[[], None]] = field(default_factory=list)
     failures: list[LinkError] = field(default_factory=list)
+
+    def driven(self, boards: Iterable[Board]) -> list[tuple[Board, Drive]]:
+        """Boards of one motor, each with its joint's drive, or the gripper's."""
+        drives = {drive.board: drive for drive in self.arm.motors}
+        return [(board, drives[board.name]) for board in boards]
 
 
 @contextlib.contextmanager

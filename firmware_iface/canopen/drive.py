@@ -175,7 +175,7 @@ class Cia402Drive:
         self._maker = Maker()
         self._slow: tuple[DictionaryObject, ...] = (SUPPLY, INPUTS)  # as TPDO 2 is mapped
         self._supply_asked_at_s = -math.inf
-        self._bus = bus
+        self.bus = bus
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._answers: dict[tuple[int, int], wire.SdoAnswer] = {}
         self._max_torque: int | None = None  # that the drive has confirmed
@@ -196,7 +196,7 @@ class Cia402Drive:
     @property
     def where(self) -> str:
         """Name in messages: `CiA 402 drive "elbow" (node 3) on socketcan:can0`."""
-        return f'CiA 402 drive "{self.name}" (node {self.node}) on {self._bus.name}'
+        return f'CiA 402 drive "{self.name}" (node {self.node}) on {self.bus.name}'
 
     @property
     def heard_at_s(self) -> float:
@@ -245,10 +245,10 @@ class Cia402Drive:
             return
         if (answer := self._answers.pop((entry.at, entry.sub), None)) is not None and not answer.abort:
             self._take_supply(wire.unpacked(entry.kind, answer.data), self._supply_asked_at_s)
-        now_s = self._bus.clock.now_s()
+        now_s = self.bus.clock.now_s()
         if now_s - self._supply_asked_at_s >= SUPPLY_EVERY_s and self._asked_max is None:
             self._supply_asked_at_s = now_s
-            self._bus.link.send(wire.SDO_REQUEST + self.node, wire.read_request(entry))
+            self.bus.link.send(wire.SDO_REQUEST + self.node, wire.read_request(entry))
 
     def _take_supply(self, value: int, asked_at_s: float) -> None:
         self.supply_mV, self._supply_at_s = value * self._maker.supply_unit_mV, asked_at_s
@@ -262,7 +262,7 @@ class Cia402Drive:
         """At most so much current, in every mode: told until the drive confirms it; does not wait."""
         entry = self.force_limit
         permille = max(round(current_A * (permille_per_A if self._maker.most is None else 1e3)), 1)
-        now_s = self._bus.clock.now_s()
+        now_s = self.bus.clock.now_s()
         answer = self._answers.pop((entry.at, entry.sub), None)
         if answer is not None and self._asked_max is not None:
             self._max_torque = None if answer.abort else self._asked_max[0]
@@ -270,7 +270,7 @@ class Cia402Drive:
         is_told = self._asked_max is not None and now_s - self._asked_max[1] < ANSWER_TIMEOUT_s
         if self._max_torque != permille and not is_told:
             self._asked_max = permille, now_s
-            self._bus.link.send(wire.SDO_REQUEST + self.node, wire.write_request(entry, permille))
+            self.bus.link.send(wire.SDO_REQUEST + self.node, wire.write_request(entry, permille))
 
     def quick_stop(self) -> None:
         """Quick stop: the drive slows down by its own ramp and holds."""
@@ -284,7 +284,7 @@ class Cia402Drive:
 
     def _send(self, mode: int, position: int, permille: int) -> None:
         wrapped = (position + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-        send = self._bus.link.send
+        send = self.bus.link.send
         send(wire.RPDO_2 + self.node, _RPDO_2.pack(permille))
         send(wire.RPDO_1 + self.node, _RPDO_1.pack(self._controlword, mode, wrapped))
 
@@ -304,17 +304,17 @@ class Cia402Drive:
 
     def await_count(self) -> None:
         """Wait for a position that the drive measures from now on. Raises BoardSilent."""
-        clock, asked_s = self._bus.clock, self._bus.clock.now_s()
-        self._bus.heartbeat()
-        self._bus.sync()
+        clock, asked_s = self.bus.clock, self.bus.clock.now_s()
+        self.bus.heartbeat()
+        self.bus.sync()
         while (now_s := clock.now_s()) - asked_s < FRESH_WAIT_s:
             clock.wait_until_s(now_s + 0.5 * _STEP_s)
-            self._bus.update()
+            self.bus.update()
             if self.at_s >= asked_s:
                 return
         if self._heartbeat_ms and self.read(HEARTBEAT_PRODUCER) != self._heartbeat_ms:
             self._restarted()  # unseen: what was written to it is gone
-            self._bus.update()
+            self.bus.update()
         raise BoardSilent(f"{self.where}: no position within {FRESH_WAIT_s} s of a SYNC")
 
     def set_up(self, period_s: float, watchdog_s: float) -> None:
@@ -322,7 +322,7 @@ class Cia402Drive:
 
         Nothing is stored in the drive. Raises RequestRefused with the object that it does not have.
         """
-        self._bus.nmt(NmtCommand.PRE_OPERATIONAL, self.node)
+        self.bus.nmt(NmtCommand.PRE_OPERATIONAL, self.node)
         self._map(0x1400, 0x1600, wire.RPDO_1, (CONTROLWORD, MODE, TARGET_POSITION))
         self._map(0x1401, 0x1601, wire.RPDO_2, (TARGET_TORQUE,))
         self._map(0x1800, 0x1A00, wire.TPDO_1, (STATUSWORD, POSITION, TORQUE))
@@ -336,8 +336,8 @@ class Cia402Drive:
         self.write(HEARTBEAT_CONSUMER, HOST_NODE << 16 | round(watchdog_s * 1e3))
         self.write(HEARTBEAT_PRODUCER, round(watchdog_s * 1e3))
         self._heartbeat_ms = round(watchdog_s * 1e3)
-        self._bus.heartbeat()
-        self._bus.nmt(NmtCommand.START, self.node)
+        self.bus.heartbeat()
+        self.bus.nmt(NmtCommand.START, self.node)
         self.state = self._max_torque = self._asked_max = None
 
     def _end_motion(self) -> None:
@@ -358,7 +358,7 @@ class Cia402Drive:
             self._slow = (INPUTS,)
             self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
         if (entry := self._supply_by_sdo) is not None:
-            self._take_supply(self.read(entry), self._bus.clock.now_s())
+            self._take_supply(self.read(entry), self.bus.clock.now_s())
 
     def _map(self, communication: int, mapping: int, base: int, entries: tuple[DictionaryObject, ...]) -> None:
         """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid. Its bit for remote requests stays as it is."""
@@ -377,7 +377,7 @@ class Cia402Drive:
 
         Without a fault nothing is commanded.
         """
-        clock = self._bus.clock
+        clock = self.bus.clock
         deadline_s = clock.now_s() + timeout_s
         self.errors.clear()
         if not self._is_in_fault():
@@ -386,10 +386,10 @@ class Cia402Drive:
             for command in (DriveCommand.DISABLE_VOLTAGE, DriveCommand.FAULT_RESET, DriveCommand.DISABLE_VOLTAGE):
                 self._controlword = int(command)
                 self._send(CYCLIC_POSITION, self.count, 0)
-                self._bus.heartbeat()
-                self._bus.sync()
+                self.bus.heartbeat()
+                self.bus.sync()
                 clock.wait_until_s(clock.now_s() + 4 * _STEP_s)
-                self._bus.update()
+                self.bus.update()
             if not self._is_in_fault():
                 return
             if clock.now_s() >= deadline_s:
@@ -417,14 +417,14 @@ class Cia402Drive:
         self._ask(entry, wire.write_request(entry, value))
 
     def _ask(self, entry: DictionaryObject, request: bytes) -> wire.SdoAnswer:
-        clock = self._bus.clock
+        clock = self.bus.clock
         for _ in range(ATTEMPTS):
             self._answers.clear()
-            self._bus.link.send(wire.SDO_REQUEST + self.node, request)
+            self.bus.link.send(wire.SDO_REQUEST + self.node, request)
             deadline_s = clock.now_s() + ANSWER_TIMEOUT_s
             while (now_s := clock.now_s()) < deadline_s:
                 clock.wait_until_s(now_s + _STEP_s)
-                self._bus.update()
+                self.bus.update()
                 answer = self._answers.get((entry.at, entry.sub))
                 if answer is not None:
                     if answer.abort:
@@ -443,7 +443,7 @@ class Cia402Drive:
     def _take_values(self, payload: bytes, now_s: float) -> None:
         if len(payload) == _TPDO_1.size:
             self.statusword, self.count, self.torque_permille = _TPDO_1.unpack(payload)
-            self.at_s = self._bus.synced_at_s
+            self.at_s = self.bus.synced_at_s
             self.counted.arrived(now_s)
             self.state = STATE_OF_STATUSWORD[self.statusword & 0xFF]
 
@@ -451,7 +451,7 @@ class Cia402Drive:
         layout = _TPDO_2[self._slow]
         if len(payload) == layout.size:
             *supply_mV, self._inputs = layout.unpack(payload)
-            self._inputs_at_s = self._bus.synced_at_s
+            self._inputs_at_s = self.bus.synced_at_s
             if supply_mV:
                 self.supply_mV = supply_mV[0]
 
@@ -473,7 +473,7 @@ class Cia402Drive:
         self.counted.forget()
         self._supply_at_s = self._inputs_at_s = -math.inf
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
-        self._bus.problems.append(
+        self.bus.problems.append(
             BoardReset(
                 f"{self.where}: restarted by itself; its position and configuration are lost: check its supply, then home again"
             )

@@ -97,8 +97,8 @@ def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: floa
                 "held or braked",
                 'take mode = "position", or fit a brake',
             )
-    opened = Opened()
-    open_kinds(arm, clock, period_s, opened)
+    opened = Opened(arm, clock, period_s)
+    open_kinds(opened)
     boards.closers += opened.closers
     for where, identity in opened.identities:
         boards.ok(where, identity)
@@ -138,8 +138,8 @@ def _look_at_values(boards: AnsweringBoards, arm: Arm, opened: Opened) -> None:
         encoders.take(feedback)
     for drives in opened.drives:
         drives.take(feedback)
-    for joint, drive in enumerate(arm.drives):
-        name = f"joint {drive.joint}"
+    for drive in arm.drives:
+        joint, name = drive.joint - 1, f"joint {drive.joint}"
         if joint in driven and (supply_V := feedback.supply_V[joint]) > 0.0:
             boards.findings.append(
                 graded(

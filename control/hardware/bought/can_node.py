@@ -4,17 +4,17 @@ that close the position loop themselves, or take a torque (moteus, ODrive), the 
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 from control.errors import MissingModel
 from control.hardware import words
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import AskedEncoders, Line, Opened, collect
-from control.model.arm import Arm, Board, Drive
+from control.hardware.roles import AskedEncoders, Line, Opened
+from control.model.arm import Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, LinkError
+from firmware_iface.errors import BoardFaulted
 from firmware_iface.link import FrameLink
 from firmware_iface.node_bus import Dating
 
@@ -110,10 +110,10 @@ class NodeDrive(ABC):
     Meets `control.hardware.roles.Drives`, with what a kind adds.
     """
 
-    def __init__(self, board: CanNode, encoder: NodeEncoder | None, joint: int, drive: Drive) -> None:
+    def __init__(self, board: CanNode, encoder: NodeEncoder | None, drive: Drive) -> None:
         """`encoder`: the board's own, None if the loop uses another."""
-        self.joints = (joint,)
-        self._node, self._encoder, self._joint = board, encoder, joint
+        self._node, self._encoder, self._joint = board, encoder, drive.joint - 1
+        self.joints = (self._joint,)
         self._map = JointMap(drive)
         self._sign = float(drive.motor_direction)
         self._configured_resets = -1
@@ -184,43 +184,25 @@ class NodeDrive(ABC):
         """The encoder's offset is used with every position."""
 
 
-def open_nodes(
-    arm: Arm,
-    boards: Sequence[Board],
-    clock: Clock,
-    opened: Opened,
-    called: str,
-    open_link: Callable[..., FrameLink],
-    make: Callable[[FrameLink, Clock], B],
-    open_one: Callable[[B, Board, int, Drive], None],
-) -> None:
-    """Open the bus of [can] for a kind of boards, `called` so in messages, and one board after the other.
-
-    `open_one` is given its joint (0-based) and drive. Failures are noted in `opened`; without a bus no board is looked for.
-    """
+def open_bus(opened: Opened, called: str, open_link: Callable[..., FrameLink], make: Callable[[FrameLink, Clock], B]) -> B:
+    """Open the bus of [can] for a kind of boards, `called` so in messages. MissingModel, LinkError."""
+    arm = opened.arm
     if arm.can is None:
         raise MissingModel(f"arm {arm.name}: no [can] bus for its {called}: add it")
-    try:
-        link = open_link(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
-    except LinkError as error:
-        opened.failures.append(error)
-        return
+    link = open_link(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
     opened.closers.append(link.close)
-    bus = make(link, clock)
+    bus = make(link, opened.clock)
     opened.lines.append(BusLine(bus))
-    driven: Mapping[str, tuple[int, Drive]] = {d.board: (joint, d) for joint, d in enumerate(arm.drives)}
-    for described in boards:
-        with collect(opened.failures):
-            open_one(bus, described, *driven[described.name])
+    return bus
 
 
 def own_encoder(
-    board: CountingNode, joint: int, drive: Drive, opened: Opened, is_absolute: bool = False, is_asked: bool = False
+    board: CountingNode, drive: Drive, opened: Opened, is_absolute: bool = False, is_asked: bool = False
 ) -> NodeEncoder | None:
     """The board's own encoder, added to `opened`; None if the drive names an encoder board's."""
     if drive.encoder_board >= 0:
         return None
-    encoder = NodeEncoder(board, joint, is_absolute, is_asked)
+    encoder = NodeEncoder(board, drive.joint - 1, is_absolute, is_asked)
     opened.encoders.append(encoder)
     return encoder
 
@@ -231,8 +213,8 @@ class SetPointSpeed:
     A late cycle moves the set-point further, in a longer time; no step may look faster than the joint's limit.
     """
 
-    def __init__(self, drive: Drive, clock: Clock, period_s: float) -> None:
-        self._clock, self._period_s = clock, period_s
+    def __init__(self, drive: Drive, opened: Opened) -> None:
+        self._clock, self._period_s = opened.clock, opened.period_s
         counts_per_radian = abs(JointMap(drive).counts_per_radian)
         self._most_count_s = drive.joint_speed_limit_rad_s * counts_per_radian
         self._last: tuple[int, float] | None = None
@@ -254,13 +236,11 @@ class SetPointSpeed:
 class PositionLoopDrive(NodeDrive):
     """One motor; meets `control.hardware.roles.Drives`, with what a kind adds."""
 
-    def __init__(
-        self, board: CanNode, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
-    ) -> None:
-        """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
-        super().__init__(board, encoder, joint, drive)
+    def __init__(self, board: CanNode, encoder: NodeEncoder | None, drive: Drive, speed: SetPointSpeed) -> None:
+        """`encoder`: the board's own, None if the loop uses another."""
+        super().__init__(board, encoder, drive)
         self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
-        self._speed = SetPointSpeed(drive, clock, period_s)
+        self._speed = speed
         self._held: int | None = None
         self._is_to_let_go = False
 

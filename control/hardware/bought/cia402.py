@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable, Sequence
 
 from control.hardware import words
-from control.hardware.bought.can_node import NodeEncoder, open_nodes
+from control.hardware.bought.can_node import NodeEncoder, open_bus
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import Opened
-from control.model.arm import Arm, Board, Drive, Limits
+from control.hardware.roles import Opened, collect
+from control.model.arm import Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can
 from firmware_iface.canopen.drive import (
@@ -58,8 +58,8 @@ _FAULT_OF = (
 class Cia402Encoder(NodeEncoder):
     """The encoder of a drive, and the limit switches at its inputs: negative and positive are in the encoder's sense."""
 
-    def __init__(self, drive: Cia402Drive, joint: int, described: Drive) -> None:
-        super().__init__(drive, joint, is_asked=True)
+    def __init__(self, drive: Cia402Drive, described: Drive) -> None:
+        super().__init__(drive, described.joint - 1, is_asked=True)
         self._drive = drive
         flags = (words.LOWER_LIMIT, words.UPPER_LIMIT)
         self._negative, self._positive = flags if JointMap(described).counts_per_radian > 0.0 else flags[::-1]
@@ -75,26 +75,15 @@ class Cia402Encoder(NodeEncoder):
 class Cia402Joint:
     """One drive; meets `control.hardware.roles.Drives`."""
 
-    def __init__(
-        self,
-        drive: Cia402Drive,
-        encoder: NodeEncoder,
-        joint: int,
-        described: Drive,
-        period_s: float,
-        watchdog_s: float,
-        sync: Callable[[], None],
-    ) -> None:
-        """`sync` sends SYNC, with which a set-point takes effect."""
-        self.joints = (joint,)
-        self._joint, self._drive, self._encoder = joint, drive, encoder
+    def __init__(self, drive: Cia402Drive, encoder: NodeEncoder, described: Drive, period_s: float, watchdog_s: float) -> None:
+        self._joint, self._drive, self._encoder = described.joint - 1, drive, encoder
+        self.joints = (self._joint,)
         self._map = JointMap(described)
         self._sign = float(described.motor_direction)
         self._permille_per_A = 1e3 * described.torque_constant_Nm_A / drive.rated_torque_Nm
         self._supply_V = described.supply_V
         self._period_s, self._watchdog_s = period_s, watchdog_s
         self._configured_resets = -1
-        self._sync = sync
         self._held: int | None = None
         self._is_stopped = False
 
@@ -202,20 +191,20 @@ class Cia402Joint:
         """Quick stop: the drive slows down and holds until it is acknowledged."""
         self._is_stopped = True
         self._drive.quick_stop()
-        self._sync()
+        self._drive.bus.sync()  # with which it takes effect
 
 
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+def open_boards(boards: Sequence[Board], opened: Opened) -> None:
     """Open the CAN bus, and identify and start every drive."""
-    watchdog_s = arm.limits.watchdog_s
+    watchdog_s = opened.arm.limits.watchdog_s
 
     def make(link: FrameLink, clock: Clock) -> CanOpenBus:
         return CanOpenBus(link, clock, watchdog_s / HEARTBEATS)
 
-    def open_one(bus: CanOpenBus, described: Board, joint: int, drive: Drive) -> None:
-        _open_drive(bus, described, joint, drive, period_s, arm.limits, opened)
-
-    open_nodes(arm, boards, clock, opened, "CiA 402 drives", open_can, make, open_one)
+    bus = open_bus(opened, "CiA 402 drives", open_can, make)
+    for described, drive in opened.driven(boards):
+        with collect(opened.failures):
+            _open_drive(bus, described, drive, opened)
 
 
 def _require_rated_torque(node: Cia402Drive, drive: Drive) -> str:
@@ -275,9 +264,8 @@ def _doubts(node: Cia402Drive) -> str:
     return "".join(f"; {doubt}" for doubt in doubts)
 
 
-def _open_drive(
-    bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, limits: Limits, opened: Opened
-) -> None:
+def _open_drive(bus: CanOpenBus, described: Board, drive: Drive, opened: Opened) -> None:
+    limits = opened.arm.limits
     node = Cia402Drive(bus, described.address, described.name)
     identity = node.identify()
     if identity.profile != PROFILE:
@@ -287,8 +275,8 @@ def _open_drive(
     _require_mode(node, drive)
     _require_wide_window(node, drive, limits.following_error_rad)
     reaction = node.read_if_there(FAULT_REACTION)
-    encoder = Cia402Encoder(node, joint, drive)
-    driven = Cia402Joint(node, encoder, joint, drive, period_s, limits.watchdog_s, bus.sync)
+    encoder = Cia402Encoder(node, drive)
+    driven = Cia402Joint(node, encoder, drive, opened.period_s, limits.watchdog_s)
     driven.configure(encoder.fresh_count)
     opened.encoders.append(encoder)
     opened.drives.append(driven)

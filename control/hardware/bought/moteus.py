@@ -9,12 +9,11 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from control.hardware import words
-from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
+from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, SetPointSpeed, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import Opened
-from control.model.arm import Arm, Board, Drive
+from control.hardware.roles import Opened, collect
+from control.model.arm import Board, Drive
 from firmware_iface.can_link import open_fd_can
-from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardSilent, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
@@ -90,18 +89,9 @@ def _require_settings(board: Moteus, drive: Drive) -> str:
 class MoteusDrive(PositionLoopDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
-    def __init__(
-        self,
-        board: Moteus,
-        encoder: NodeEncoder | None,
-        joint: int,
-        drive: Drive,
-        clock: Clock,
-        period_s: float,
-        watchdog_s: float,
-    ) -> None:
-        """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
-        super().__init__(board, encoder, joint, drive, clock, period_s)
+    def __init__(self, board: Moteus, encoder: NodeEncoder | None, drive: Drive, speed: SetPointSpeed, watchdog_s: float) -> None:
+        """`encoder`: the board's own, None if the loop uses another."""
+        super().__init__(board, encoder, drive, speed)
         self._board = board
         limit_Nm = drive.torque_constant_Nm_A * drive.current_limit_A
         self._most_Nm = limit_Nm if math.isfinite(limit_Nm) else math.nan  # NaN: the board's own limit
@@ -173,17 +163,16 @@ class MoteusDrive(PositionLoopDrive):
         self._board.stop_now()
 
 
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+def open_boards(boards: Sequence[Board], opened: Opened) -> None:
     """Open the CAN FD bus, and identify every moteus."""
-
-    def open_one(bus: MoteusBus, described: Board, joint: int, drive: Drive) -> None:
-        board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
-        is_absolute = arm.has_absolute_encoder(drive)
-        of_rotor = wire.REFERENCED_TO_ROTOR if arm.turn_of_home_rad(drive) else 0
-        identity = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
-        unsaid = _require_settings(board, drive)
-        encoder = own_encoder(board, joint, drive, opened, is_absolute, is_asked=True)
-        opened.drives.append(MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s))
-        opened.identities.append((board.where, f"{identity}, supply {board.supply_V:.1f} V{unsaid}"))
-
-    open_nodes(arm, boards, clock, opened, "moteus controllers", open_fd_can, MoteusBus, open_one)
+    bus, arm = open_bus(opened, "moteus controllers", open_fd_can, MoteusBus), opened.arm
+    for described, drive in opened.driven(boards):
+        with collect(opened.failures):
+            board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
+            is_absolute = arm.has_absolute_encoder(drive)
+            of_rotor = wire.REFERENCED_TO_ROTOR if arm.turn_of_home_rad(drive) else 0
+            identity = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
+            unsaid = _require_settings(board, drive)
+            encoder = own_encoder(board, drive, opened, is_absolute, is_asked=True)
+            opened.drives.append(MoteusDrive(board, encoder, drive, SetPointSpeed(drive, opened), arm.limits.watchdog_s))
+            opened.identities.append((board.where, f"{identity}, supply {board.supply_V:.1f} V{unsaid}"))

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from typing import Final
 
 from control.hardware import words
-from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
-from control.hardware.roles import Opened
-from control.model.arm import Arm, Board, Drive
+from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, SetPointSpeed, open_bus, own_encoder
+from control.hardware.roles import Opened, collect
+from control.model.arm import Board, Drive
 from firmware_iface.can_link import open_can
-from firmware_iface.clock import Clock
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.odrive.wire import Error
 
@@ -35,11 +34,9 @@ SPEED_MARGIN: Final = 2.0  # of the board's speed limit over the joint's: the lo
 class OdriveDrive(PositionLoopDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
-    def __init__(
-        self, axis: OdriveAxis, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
-    ) -> None:
-        """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
-        super().__init__(axis, encoder, joint, drive, clock, period_s)
+    def __init__(self, axis: OdriveAxis, encoder: NodeEncoder | None, drive: Drive, speed: SetPointSpeed) -> None:
+        """`encoder`: the board's own, None if the loop uses another."""
+        super().__init__(axis, encoder, drive, speed)
         self._axis = axis
         turns_s = drive.joint_speed_limit_rad_s / drive.encoder_turn_rad
         self._limits = (SPEED_MARGIN * turns_s, drive.current_limit_A)
@@ -101,14 +98,13 @@ class OdriveDrive(PositionLoopDrive):
             self._axis.send_now()
 
 
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+def open_boards(boards: Sequence[Board], opened: Opened) -> None:
     """Open the CAN bus, and wait for what every ODrive sends."""
-
-    def open_one(bus: OdriveBus, described: Board, joint: int, drive: Drive) -> None:
-        axis = OdriveAxis(bus, described.address, described.name, drive.encoder_counts_per_rev)
-        axis.identify()
-        encoder = own_encoder(axis, joint, drive, opened, described.absolute)
-        opened.drives.append(OdriveDrive(axis, encoder, joint, drive, clock, period_s))
-        opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))
-
-    open_nodes(arm, boards, clock, opened, "ODrives", open_can, OdriveBus, open_one)
+    bus = open_bus(opened, "ODrives", open_can, OdriveBus)
+    for described, drive in opened.driven(boards):
+        with collect(opened.failures):
+            axis = OdriveAxis(bus, described.address, described.name, drive.encoder_counts_per_rev)
+            axis.identify()
+            encoder = own_encoder(axis, drive, opened, described.absolute)
+            opened.drives.append(OdriveDrive(axis, encoder, drive, SetPointSpeed(drive, opened)))
+            opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))

@@ -9,12 +9,11 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from control.hardware import words
-from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
+from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, on_line, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import AskedEncoders, Opened, collect
-from control.model.arm import Arm, Board, Drive
+from control.model.arm import Board, Drive
 from control.model.drive import OWN_INPUT
-from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, MisuseError
 from firmware_iface.link import ByteLink
 from firmware_iface.roboclaw import wire
@@ -227,15 +226,20 @@ def _by_channel(drives: Mapping[int, Drive]) -> tuple[float, float]:
     return limits_A[0], limits_A[1]
 
 
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+def open_boards(boards: Sequence[Board], opened: Opened) -> None:
     """Open the lines of these boards and identify every board."""
+    with_switch = len({drive.board for drive in opened.arm.motors if _limit_side(drive)} & {board.name for board in boards})
+    remedy = "raise the baud rate, or give each board a line of its own (USB)"
 
     def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
-        line = PacketLine(link, clock)
+        if link.baud:
+            needed_s = cycle_s(len(on_it), link.baud, min(len(on_it), with_switch))
+            require_fit(on_line("RoboClaw", on_it, link), needed_s, opened.period_s, remedy)
+        line = PacketLine(link, opened.clock)
         claws: list[RoboClaw] = []
         for described in on_it:
             with collect(opened.failures):
-                claws.append(_open_board(arm, described, line, opened))
+                claws.append(_open_board(described, line, opened))
 
         def post_cycle() -> None:
             for board in claws:
@@ -247,12 +251,7 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
 
         return PolledBoards(line, claws, post_cycle)
 
-    def needed_s(count: int, baud: int) -> float:
-        return cycle_s(count, baud, min(count, with_switch))
-
-    with_switch = len({drive.board for drive in arm.drives if _limit_side(drive)} & {board.name for board in boards})
-    remedy = "raise the baud rate, or give each board a line of its own (USB)"
-    open_lines(boards, opened, period_s, "RoboClaw", remedy, needed_s, open_on)
+    open_lines(boards, opened, open_on)
 
 
 def _require_rating(where: str, version: str, drive: Drive) -> None:
@@ -268,10 +267,11 @@ def _require_rating(where: str, version: str, drive: Drive) -> None:
         )
 
 
-def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) -> RoboClaw:
+def _open_board(described: Board, line: PacketLine, opened: Opened) -> RoboClaw:
+    arm = opened.arm
     board = RoboClaw(line, described.address, described.name)
     version = board.identify().version
-    driven = {joint: drive for joint, drive in enumerate(arm.drives) if drive.board == described.name}
+    driven = {drive.joint - 1: drive for drive in arm.motors if drive.board == described.name}
     counted = {joint: drive for joint, drive in driven.items() if drive.encoder_board < 0}
     for drive in counted.values():
         board.require_quadrature(drive.board_channel)
@@ -281,7 +281,7 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
             board.require_home_switch(drive.board_channel)
     if counted:
         line.keep_asking(board.counts_question)
-    for joints in (range(arm.joint_count), range(arm.joint_count, len(arm.drives))):  # the gripper's apart
+    for joints in (range(arm.joint_count), (arm.joint_count,)):  # the gripper's apart
         mine = {joint: drive for joint, drive in driven.items() if joint in joints}
         counted_here = {joint: drive for joint, drive in counted.items() if joint in joints}
         if counted_here:

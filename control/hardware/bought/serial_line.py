@@ -43,35 +43,30 @@ class PolledBoards:
         self._line.update()
 
 
-def require_fit(called: str, port: str, boards: int, baud: int, needed_s: float, period_s: float, remedy: str) -> None:
-    """Raise MisuseError if a cycle's packets need longer than the loop has. `remedy`: besides a slower loop."""
+def require_fit(boards: str, needed_s: float, period_s: float, remedy: str) -> None:
+    """Raise MisuseError if the packets of a cycle need longer than the loop has.
+
+    `boards`: whose they are, as `on_line` says it. `remedy`: besides a slower loop.
+    """
     if needed_s > period_s:
         raise MisuseError(
-            f"{called} line {port}: {boards} boards at {baud} baud need {needed_s * 1e3:.1f} ms per cycle, the loop has"
-            f" {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, or {remedy}"
+            f"{boards} need {needed_s * 1e3:.1f} ms per cycle, the loop has {period_s * 1e3:.1f} ms: serve with --rate"
+            f" {math.floor(1.0 / needed_s)} or less, or {remedy}"
         )
 
 
-def open_lines(
-    boards: Sequence[Board],
-    opened: Opened,
-    period_s: float,
-    called: str,
-    remedy: str,
-    cycle_s: Callable[[int, int], float],
-    open_on: Callable[[ByteLink, Sequence[Board]], PolledBoards],
-) -> None:
-    """Open the line of each port with its boards, which messages call `called`; failures are noted in `opened`.
+def on_line(called: str, boards: Sequence[Board], link: ByteLink) -> str:
+    """The boards of a line in messages, `called` so."""
+    return f"{called} line {boards[0].port}: {len(boards)} boards at {link.baud} baud"
 
-    `cycle_s`: of so many boards at a baud rate. `remedy`: for a line that is too slow for the loop, besides a slower loop.
-    """
+
+def open_lines(boards: Sequence[Board], opened: Opened, open_on: Callable[[ByteLink, Sequence[Board]], PolledBoards]) -> None:
+    """Open the line of each port with its boards; failures are noted in `opened`."""
     for port in dict.fromkeys(board.port for board in boards):
         on_it = [board for board in boards if board.port == port]
         with collect(opened.failures):
             link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
             opened.closers.append(link.close)
-            needed_s = cycle_s(len(on_it), link.baud) if link.baud else 0.0
-            require_fit(called, port, len(on_it), link.baud, needed_s, period_s, remedy)
             polled = open_on(link, on_it)
             opened.lines.append(polled)
             opened.polled.append(polled)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, TypeVar
 
-from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines, require_fit
+from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, on_line, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import AskedEncoders, Opened, collect
 from control.hardware.words import (
@@ -28,7 +28,7 @@ from control.hardware.words import (
     Wanted,
     as_counter,
 )
-from control.model.arm import Arm, Board, Drive
+from control.model.arm import Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
@@ -93,11 +93,9 @@ class ServoEncoder(AskedEncoders):
 class ServoDrive:
     """One servo; meets `control.hardware.roles.Drives`."""
 
-    def __init__(
-        self, servo: SmartServo, encoder: ServoEncoder, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap
-    ) -> None:
-        self.joints = (joint,)
-        self._servo, self._encoder, self._joint = servo, encoder, joint
+    def __init__(self, servo: SmartServo, encoder: ServoEncoder, drive: Drive, watchdog_s: float, fault_of: FaultMap) -> None:
+        self._servo, self._encoder, self._joint = servo, encoder, drive.joint - 1
+        self.joints = (self._joint,)
         self._map = JointMap(drive)
         self._sign = float(drive.encoder_direction)  # a servo's current has the sense of its count
         self._drive = drive
@@ -261,18 +259,19 @@ class ServoMake(Generic[L]):
         waits_s = sum(delays_s) + (self.questions - 1) * max(delays_s, default=0.0)
         return packets_s + self.questions * TURN_AROUND_S + servos * ANSWER_GAP_S + waits_s
 
-    def open_boards(self, arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+    def open_boards(self, boards: Sequence[Board], opened: Opened) -> None:
         """Open the lines of these servos and identify every one."""
-        joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
 
         def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
-            line = self.line(link, clock)
+            called = on_line("servo", on_it, link)
+            if link.baud:
+                require_fit(called, self.cycle_s(len(on_it), link.baud), opened.period_s, "raise the servos' baud rate")
+            line = self.line(link, opened.clock)
             servos: list[SmartServo] = []
-            for described in on_it:
+            for described, drive in opened.driven(on_it):
                 with collect(opened.failures):
                     servos.append(self.servo(line, described.address, described.name))
-                    joint, drive = joints[described.name]
-                    _join(servos[-1], joint, drive, arm.limits.watchdog_s, self.faults, opened)
+                    self._join(servos[-1], drive, opened)
             delays_s = [servo.return_delay_s for servo in servos]
             if link.baud and any(delays_s):
                 waiting = ", ".join(str(servo.number) for servo in servos if servo.return_delay_s)
@@ -280,10 +279,20 @@ class ServoMake(Generic[L]):
                 remedy = f"set return delay time (register {servos[0].DELAY}) of id {waiting} to 0: up to {fastest_Hz} Hz"
                 needed_s = self.cycle_s(len(servos), link.baud, delays_s)
                 opened.identities.append((line.name, f"carries {math.floor(1.0 / needed_s)} Hz; {remedy}"))
-                require_fit("servo", line.name, len(servos), link.baud, needed_s, period_s, remedy)
+                require_fit(called, needed_s, opened.period_s, remedy)
             return PolledBoards(line, servos, line.post_cycle)
 
-        open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", self.cycle_s, open_on)
+        open_lines(boards, opened, open_on)
+
+    def _join(self, servo: SmartServo, drive: Drive, opened: Opened) -> None:
+        identity = servo.identify()
+        _require_type(servo, drive)
+        _require_range(servo, drive)
+        servo.read_state()
+        encoder = ServoEncoder(servo, drive.joint - 1)
+        opened.encoders.append(encoder)
+        opened.drives.append(ServoDrive(servo, encoder, drive, opened.arm.limits.watchdog_s, self.faults))
+        opened.identities.append((servo.where, identity))
 
 
 DYNAMIXEL: Final = ServoMake(
@@ -344,14 +353,3 @@ def _require_range(servo: SmartServo, drive: Drive) -> None:
                 f" {allowed.start} to {allowed.stop - 1}: set joint_lower_rad and joint_upper_rad within {turned[0]:.3f} to"
                 f" {turned[1]:.3f} rad, or change what is stored in the servo (offset, limits) and zero_count"
             )
-
-
-def _join(servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened) -> None:
-    identity = servo.identify()
-    _require_type(servo, drive)
-    _require_range(servo, drive)
-    servo.read_state()
-    encoder = ServoEncoder(servo, joint)
-    opened.encoders.append(encoder)
-    opened.drives.append(ServoDrive(servo, encoder, joint, drive, watchdog_s, fault_of))
-    opened.identities.append((servo.where, identity))

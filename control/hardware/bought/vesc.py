@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from typing import Final
 
 from control.hardware import words
-from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_nodes, own_encoder
+from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import Opened
-from control.model.arm import Arm, Board, Drive
+from control.hardware.roles import Opened, collect
+from control.model.arm import Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_extended_can
-from firmware_iface.clock import Clock
 from firmware_iface.errors import MisuseError, WrongIdentity
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.controller import Vesc, VescBus
@@ -36,9 +35,9 @@ FAULT_STOP_S: Final = 0.6  # a VESC stops for 0.5 s after a fault (VESC Tool), t
 class VescDrive(NodeDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
-    def __init__(self, board: Vesc, encoder: NodeEncoder | None, joint: int, drive: Drive, bus: VescBus) -> None:
+    def __init__(self, board: Vesc, encoder: NodeEncoder | None, drive: Drive, bus: VescBus) -> None:
         """`encoder`: the board's own, None if the loop uses another."""
-        super().__init__(board, encoder, joint, drive)
+        super().__init__(board, encoder, drive)
         self._board, self._bus = board, bus
         self._limit_A = drive.current_limit_A
         self._was_driving = False  # when it was found
@@ -130,19 +129,18 @@ def _require_one_turn(board: Vesc, drive: Drive) -> None:
         )
 
 
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+def open_boards(boards: Sequence[Board], opened: Opened) -> None:
     """Open the CAN bus for 29-bit ids, and identify every VESC."""
-
-    def open_one(bus: VescBus, described: Board, joint: int, drive: Drive) -> None:
-        board = Vesc(bus, described.address, described.name)
-        if drive.pid.mode == "position":
-            _require_one_turn(board, drive)
-        silent = board.identify()
-        settings = _require_settings(board, arm.limits.watchdog_s) + silent
-        encoder = own_encoder(board, joint, drive, opened)
-        board.is_counted = encoder is not None
-        opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
-        said = f"{settings}, fault code {board.fault}, supply {board.supply_V:.1f} V"
-        opened.identities.append((board.where, said))
-
-    open_nodes(arm, boards, clock, opened, "VESCs", open_extended_can, VescBus, open_one)
+    bus = open_bus(opened, "VESCs", open_extended_can, VescBus)
+    for described, drive in opened.driven(boards):
+        with collect(opened.failures):
+            board = Vesc(bus, described.address, described.name)
+            if drive.pid.mode == "position":
+                _require_one_turn(board, drive)
+            silent = board.identify()
+            settings = _require_settings(board, opened.arm.limits.watchdog_s) + silent
+            encoder = own_encoder(board, drive, opened)
+            board.is_counted = encoder is not None
+            opened.drives.append(VescDrive(board, encoder, drive, bus))
+            said = f"{settings}, fault code {board.fault}, supply {board.supply_V:.1f} V"
+            opened.identities.append((board.where, said))
