@@ -125,6 +125,7 @@ def _matrices(bend: Array | None, count: int) -> Array:
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost
 # What counts as undetermined, tried in this order against that cost.
 RANK_TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9)
+STEEPEST = 0.5  # slope of the noise that is left over the one that was assumed: a step is at most twice as long as their distance
 SETTLED = 0.02  # of the noise's variance: a weight that is off by more moves a deviation by a noticeable share
 BETTER = 1e-9  # another start replaces the first only by more than this share
 # Factors on the number of starts: with active bounds, with several minima, with many active bounds.
@@ -138,6 +139,7 @@ POSES_PER_UNKNOWN = 6  # enough poses to select promising starts
 FIT = Termination(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives start
 ROUGH = Termination(1e-1, 1e-2, 1e-4, step_limit=25)
 FINE = Termination(1e-2, 1e-7, 1e-9)
+TO_NOISE = Termination(1e-2, 1e-2, 1e-4)  # for the scatter that a fit leaves, of which a hundredth does not count
 BISECTIONS, LIMIT_REACHED = 60, 1e-7  # of lambda; unused share of the requested accuracy
 NULL_POSES = 5000
 REACH = 0.7  # of the box, from which starts are drawn
@@ -206,7 +208,7 @@ def prior_of(problem: Problem, objective: Objective) -> Prior | None:
     nominal = np.zeros(len(sd))
     made = Prior(np.array([parameter.made / parameter.scale for parameter in problem.parameters]), np.zeros(len(sd)), 1.0)
     sample = PoseSample(problem, objective)
-    alone = descend(sample, nominal, _fine(sample)).x
+    alone = descend(sample, nominal, replace(TO_NOISE, first_smoothing=1.0)).x
     all_noise = noise_scale(objective, problem.residuals(nominal), np.zeros((len(problem), 3, 3)))
     ends = [
         _against_noise(sample, made, sd, x, noise) for x, noise in ((nominal, all_noise), (alone, _noise_left(sample, alone)[0]))
@@ -217,15 +219,26 @@ def prior_of(problem: Problem, objective: Objective) -> Prior | None:
 def _against_noise(sample: PoseSample, prior: Prior, sd: Array, x: Array, noise: NoiseScale) -> tuple[Prior, float]:
     """The prior against the noise that its fit leaves, found by steps from unknowns `x` (k,) and a first noise on, and ln of its
     evidence: minus infinity where the points are too few to tell a noise.
+
+    Where more noise is assumed, fewer deviations follow single points, and the noise that is left may be less: to take it as the
+    next one goes to and fro. So the steps are the secant method's, in ln of the variance.
     """
     settling, evidence = Settling(FITS_MOST), -math.inf
-    while noise.variance_m2 > 0.0 and settling.goes_on:
-        before = noise.variance_m2
-        prior = replace(prior, square_m2=before / sd**2, curvature=noise.curvature)
+    assumed = left = math.nan
+    slope, variance_m2 = 0.0, noise.variance_m2
+    while variance_m2 > 0.0 and settling.goes_on:
+        prior = replace(prior, square_m2=variance_m2 / sd**2, curvature=noise.curvature)
         sample = replace(sample, prior=prior)
-        x = descend(sample, x, _fine(sample)).x
+        x = descend(sample, x, TO_NOISE).x
         noise, evidence = _noise_left(sample, x)
-        settling.takes(abs(math.log(noise.variance_m2 / before)) if noise.variance_m2 > 0.0 else 0.0, SETTLED)
+        if not noise.variance_m2 > 0.0:
+            break
+        before, assumed, left_before, left = assumed, math.log(variance_m2), left, math.log(noise.variance_m2)
+        if assumed != before and math.isfinite(before):
+            slope = min((left - left_before) / (assumed - before), STEEPEST)
+        step = (left - assumed) / (1.0 - slope)
+        settling.takes(abs(step), SETTLED)
+        variance_m2 = math.exp(assumed + step)
     return prior, evidence
 
 

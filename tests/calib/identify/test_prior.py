@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from calib.arm_problem.joint_effects import made_effects
 from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.arrays import norms
 from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified, with_made_effects
+from calib.identify.descent import descend
 from calib.identify.identification import identify
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfCoordinates, SumOfDistances
+from calib.identify.solver import prior_of
 from calib.points.points import Points
 from control.dynamics.static_pose import resting
 from control.kinematics.kinematics import ForwardKinematics
@@ -194,6 +197,19 @@ def test_play_of_an_arm_without_masses_is_told_and_left_out() -> None:
     result = calibrate(bare, loose(SO101, 1, 0.5)[0], dataclasses.replace(LSQ, choice=BASE))
     assert any("no play is identified; add mass_kg" in warning for warning in result.warnings)
     assert "backlash" not in {effect.effect for effect in result.arm.effects}
+
+
+@pytest.mark.parametrize(("count", "seed"), [(13, 0), (14, 1)])
+def test_noise_that_goes_to_and_fro_is_found_in_a_few_fits(count: int, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Taken as the next one, the noise that few points leave needs 32 and 25 fits."""
+    fits = Mock(wraps=descend)
+    monkeypatch.setattr("calib.identify.solver.descend", fits)
+    true, rng = made(SO101, seed)
+    q = rng.uniform(*0.9 * np.array(SO101.limits_rad).T, (count, SO101.joint_count))
+    points = make_points(q, ForwardKinematics(true).tips(q) + rng.normal(0.0, 5e-4, (count, 3)))
+    problem = problem_of(SO101, points, BASE)
+    assert prior_of(problem, SumOfDistances()) is not None
+    assert fits.call_count <= 12
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
