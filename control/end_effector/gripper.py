@@ -44,8 +44,8 @@ class Goal:
     sign: int  # 1 opens, -1 closes
 
 
-SILENT_s: Final = 0.06  # of the loop's attention: six COMMANDs without an answer
-UNCOUNTED_s: Final = 0.15  # the same of a count, which comes after its question
+SILENT: Final = 3.0  # times `stale_s`, of the loop's attention: six COMMANDs without an answer at 20 ms
+UNCOUNTED: Final = 7.5  # the same of a count, which comes after its question
 ENABLE_LIMIT_s: Final = 1.0
 RESET_s: Final = 0.04  # of a fault that was acknowledged: some cycles
 APPROACH_per_s: Final = 10.0  # speed per distance from the goal: slow against the fingers' own time constant
@@ -65,9 +65,12 @@ THERE_LEAST_m: Final = 1e-4
 
 
 class GripperControl:
-    """One gripper. `cycle` is called in each control cycle, and works every GRIPPER_PERIOD_s."""
+    """One gripper. `cycle` is called in each control cycle, and works every GRIPPER_PERIOD_s.
 
-    def __init__(self, described: Gripper, board: GripperHardware) -> None:
+    `stale_s`: of the arm's limits; a bus that may keep the joints' values waiting for longer does so with the gripper's.
+    """
+
+    def __init__(self, described: Gripper, board: GripperHardware, stale_s: float) -> None:
         self.state = GripState.OFF
         self.goal: Goal | None = None
         self.why = ""  # it stopped, or does not work
@@ -83,6 +86,7 @@ class GripperControl:
         self._enabled_s = math.inf
         self._speed_m_s, self._before_m = 0.0, math.nan
         self._heard = (-math.inf, -math.inf)
+        self._silent_s, self._without_count_s = SILENT * stale_s, UNCOUNTED * stale_s
         self._unheard_s = self._uncounted_s = 0.0
         self._hold_m: float | None = None  # `moved_m` of the place to hold
         self._left_s = self._push_A = self._trim_A = self._stalled_s = 0.0
@@ -153,7 +157,7 @@ class GripperControl:
 
     def recover(self) -> None:
         """A person acknowledges its fault. ArmError while its board is silent: a question to it would keep the arm waiting."""
-        if self._unheard_s > SILENT_s:
+        if self._unheard_s > self._silent_s:
             raise ArmError(f"gripper: {self.why}: check its supply and cable, then acknowledge again")
         self.state, self.why, self._enabled_s = GripState.OFF, "", math.inf
 
@@ -181,14 +185,14 @@ class GripperControl:
         if self._enabled_s == math.inf:
             self._enabled_s = now_s
         waited_s = now_s - self._enabled_s
-        if self._unheard_s > SILENT_s:
-            return self._fail("gripper_silent", f"no reply from its motor board for {SILENT_s} s")
+        if self._unheard_s > self._silent_s:
+            return self._fail("gripper_silent", f"no reply from its motor board for {self._silent_s:g} s")
         if feedback.faults and waited_s > RESET_s:
             return self._fail("gripper_drive", f"its motor board is in FAULT ({feedback.faults})")
         if not feedback.is_enabled and waited_s > ENABLE_LIMIT_s:
             return self._fail("gripper_drive", f"its drive is not enabled after {ENABLE_LIMIT_s} s")
-        if self.described.encoder_counts_per_rev and self._uncounted_s > UNCOUNTED_s:
-            return self._fail("gripper_count", f"no count from its motor board for {UNCOUNTED_s} s")
+        if self.described.encoder_counts_per_rev and self._uncounted_s > self._without_count_s:
+            return self._fail("gripper_count", f"no count from its motor board for {self._without_count_s:g} s")
         return None
 
     def _listen(self, feedback: GripperFeedback) -> None:
@@ -376,8 +380,8 @@ class PlacedHardware(GripperHardware, Protocol):
 class PlacedGripper(GripperControl):
     """As `GripperControl`; what it commands are places."""
 
-    def __init__(self, described: Gripper, board: PlacedHardware) -> None:
-        super().__init__(described, board)
+    def __init__(self, described: Gripper, board: PlacedHardware, stale_s: float) -> None:
+        super().__init__(described, board, stale_s)
         self._placed = board
         self._aim_m = math.nan  # `moved_m` of the place that it goes to
 

@@ -165,8 +165,8 @@ def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
     if arm.gripper is None or board is None:
         return None
     if isinstance(board, PlacedOnBoard):
-        return PlacedGripper(arm.gripper, board)
-    return GripperControl(arm.gripper, board)
+        return PlacedGripper(arm.gripper, board, arm.limits.stale_s)
+    return GripperControl(arm.gripper, board, arm.limits.stale_s)
 
 
 def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:

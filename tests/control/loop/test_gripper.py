@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -246,13 +247,24 @@ def test_a_board_that_replies_without_a_count_is_found_where_an_encoder_is_descr
     counts_per_rev: int, codes: list[str]
 ) -> None:
     board = Board()
-    control = GripperControl(replace(GRIPPER, encoder_counts_per_rev=counts_per_rev), board)
+    control = GripperControl(replace(GRIPPER, encoder_counts_per_rev=counts_per_rev), board, RIGHT.limits.stale_s)
     found = []
     for cycle in range(200):
         board.counts = cycle < 100
         found.append(control.cycle(0.01 * cycle, is_ready=True, is_fault=False, is_off=False))
     assert not any(found[:115])
     assert [fault.code for fault in found if fault] == codes
+
+
+@pytest.mark.parametrize(("stale_s", "silent_s"), [(0.02, 0.06), (0.06, 0.18)])
+def test_a_gripper_may_keep_silent_three_times_as_long_as_a_joint(stale_s: float, silent_s: float) -> None:
+    """On a bus of servos, whose joints may be silent for 60 ms, one late reply of the gripper stopped the arm."""
+    board = Mock(spec=Board, feedback=GripperFeedback(is_enabled=True))
+    board.read.return_value = board.feedback
+    control = GripperControl(GRIPPER, board, stale_s)
+    found = [control.cycle(0.01 * cycle, is_ready=True, is_fault=False, is_off=False) for cycle in range(50)]
+    (cycle,) = [cycle for cycle, fault in enumerate(found) if fault]
+    assert (found[cycle].code, 0.01 * cycle) == ("gripper_silent", pytest.approx(silent_s, abs=0.011))
 
 
 def refused_acknowledge(cell: Cell) -> str:
