@@ -54,11 +54,9 @@ class Bending(NamedTuple):
     turn: Array
 
 
-def bending_m(
-    arm: Arm, dh: Array, q_rad: Array, payload_kg: Array, link: int, accelerated: Callable[[Array], Array] | None = None
-) -> Array:
-    """The displacements of the tip of `bending`, (m, 3) [m N m^2], of a DH table (links, 4) at poses (m, n)."""
-    return bending(arm, link_frames(ArmModel(arm), dh, q_rad), payload_kg, link, accelerated).shift
+def bending_m(arm: Arm, q_rad: Array, payload_kg: Array, link: int, accelerated: Callable[[Array], Array] | None = None) -> Array:
+    """The displacements of the tip of `bending`, (m, 3) [m N m^2], at poses (m, n)."""
+    return bending(arm, link_frames(ArmModel(arm), arm.dh, q_rad), payload_kg, link, accelerated).shift
 
 
 def bending(

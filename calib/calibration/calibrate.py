@@ -307,21 +307,17 @@ def with_base_frame(arm: Arm, base: Frame) -> Arm:
 
 
 def write_calibration_json(
-    path: Path,
-    arm: str,
-    fit: Identification,
-    made: Provenance,
-    verification: Comparison | None = None,
-    more: Mapping[str, object] | None = None,
+    path: Path, arm: str, fit: Identification, made: Provenance, more: Mapping[str, object] | None = None
 ) -> None:
-    """Write the result for other programs; `more` under its own keys: outliers, held-out errors, the verdict."""
+    """Write the result for other programs; `more` under its own keys: verification, outliers, held-out errors, the verdict."""
     content = made.heading("calibration/1", arm=arm) | _found(fit)
-    content["verification"] = None
-    if verification is not None:
-        content["verification"] = {
-            entry.setup: entries(entry, "before", "after", "improvement_percent") for entry in verification.by_setup()
-        }
-    write_json(path, content | dict(more or {}))
+    write_json(path, content | {"verification": None} | dict(more or {}))
+
+
+def verification_json(verification: Comparison) -> dict[str, object]:
+    """The errors of other points by setup, as calibration.json has them."""
+    by_setup = {entry.setup: entries(entry, "before", "after", "improvement_percent") for entry in verification.by_setup()}
+    return {"verification": by_setup}
 
 
 def _found(fit: Identification) -> dict[str, object]:

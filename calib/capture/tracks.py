@@ -308,9 +308,15 @@ def _read(path: Path, content: bytes) -> Capture:
     analog = words[2] or _analog(parameters, rate_Hz)
     if not 0.0 < rate_Hz <= FASTEST_Hz or not math.isfinite(scale) or scale == 0.0 or points < 1:
         raise CaptureError(f"{path}: rate {rate_Hz:g} Hz, scale {scale:g}, {points:g} points: expected a recording of markers")
-    held = max(0, len(content) - begin) // ((4 * round(points) + analog) * (2 if scale > 0.0 else 4))
+    code = f"{order}i2" if scale > 0.0 else f"{order}u4" if kind == DEC else f"{order}f4"
+    width = 4 * round(points) + analog
+    held = max(0, len(content) - begin) // (width * np.dtype(code).itemsize)
     frames, notes = _frames(path, parameters, words[3:5], held)
-    table = _values(content, begin, frames, round(points), analog, kind, scale)
+    if begin < 0 or frames > held:
+        raise ValueError(f"{frames} frames of {points:g} points do not fit into it")
+    raw = np.frombuffer(content, code, frames * width, begin).reshape(frames, width)[:, : 4 * round(points)]
+    values = _of_dec(raw.astype(np.uint32)) if code == "<u4" else raw.astype(np.float64)
+    table = values.reshape(frames, round(points), 4)
     seen = (table[:, :, 3] >= 0.0) & np.isfinite(table[:, :, :3]).all(axis=2)
     unit = _unit(path, parameters)
     factor = unit * (scale if scale > 0.0 else 1.0)
@@ -374,19 +380,6 @@ def _real(content: bytes, at: int, kind: int) -> float:
     if kind != DEC:
         return float(unpack_from(">f" if kind == MIPS else "<f", content, at)[0])
     return float(_of_dec(np.frombuffer(content, "<u4", 1, at).astype(np.uint32))[0])
-
-
-def _values(content: bytes, begin: int, frames: int, points: int, analog: int, kind: int, scale: float) -> Array:
-    """(frames, points, 4); what follows the points of a frame is analog."""
-    order = ">" if kind == MIPS else "<"
-    code = f"{order}i2" if scale > 0.0 else f"{order}u4" if kind == DEC else f"{order}f4"
-    width = 4 * points + analog
-    size = np.dtype(code).itemsize
-    if begin < 0 or begin + frames * width * size > len(content):
-        raise ValueError(f"{frames} frames of {points} points do not fit into it")
-    raw = np.frombuffer(content, code, frames * width, begin).reshape(frames, width)[:, : 4 * points]
-    values = _of_dec(raw.astype(np.uint32)) if code == "<u4" else raw.astype(np.float64)
-    return values.reshape(frames, points, 4)
 
 
 def _of_dec(words: npt.NDArray[np.uint32]) -> Array:

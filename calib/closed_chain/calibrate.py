@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel, Bounds
+from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
-from calib.closed_chain.pair_problem import BASE, Contacts, PairProblem, names_of
+from calib.closed_chain.pair_problem import BASE, Contacts, PairPlan, PairProblem, names_of
 from calib.design.information import Experiment, criterion_of
 from calib.design.planning import Group, select
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Determinability, Sensitivity, determinability, open_in_words
 from calib.identify.identification import Estimate, uncertainty
-from calib.identify.objective import Huber, Objective, SumOfDistances
+from calib.identify.objective import Huber, SumOfDistances
 from calib.identify.solver import Minimum, minimise
 from calib.results import Provenance, entries, write_json
 from control.kinematics.rotation import quaternion_of, quaternions
@@ -37,16 +37,6 @@ FAR_OFF_m = 0.1  # mean error of nominal arms beyond which the file is of others
 SEED = 0
 ONE_SEARCH = 0  # no further starts
 PLACING_m = 0.005  # nominal arms: a contact that is farther off counts less
-
-
-@dataclass(frozen=True, slots=True)
-class PairPlan:
-    """What to identify: `fixed` parameters by name such as left_theta4, arms whose tip is identified too; by which objective."""
-
-    bounds: Bounds = field(default_factory=Bounds)
-    fixed: Collection[str] = ()
-    free_tools: Collection[str] = ()
-    objective: Objective = field(default_factory=Huber)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +69,7 @@ def calibrate_pair(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, ad
             f"{len(contacts)} contacts: {CONTACTS_LEAST} are needed to know where the arms stand, and more to calibrate them"
         )
     advance("where the arms stand", 0.0)
-    placed = _placed(arms, contacts)
+    placed = placed_by(arms, contacts)
     before = placed.errors_m(np.zeros(6))
     if float(np.median(before)) > FAR_OFF_m:
         raise UnusablePointsError(
@@ -108,22 +98,14 @@ def calibrate_pair(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, ad
     )
 
 
-def choose_contacts(
-    arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, count: int, noise_m: float, base: Frame | None = None
-) -> list[int]:
-    """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first.
-
-    `base`: where the second arm stands; None: where the contacts fit best.
-    """
-    problem = PairProblem(
-        arms, contacts, base or _placed(arms, contacts).base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools
-    )
+def choose_contacts(problem: PairProblem, count: int, noise_m: float) -> list[int]:
+    """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first."""
     x = np.zeros(len(problem.parameters))
     known = determinability(problem.sensitivity(x), problem.parameters)
     rows = problem.of_contacts(x)[1] @ known.basis / noise_m
     rank = known.rank
     experiment = Experiment((), frozen(known.basis), frozen(np.eye(rank)), frozen(rows), frozen(np.zeros((1, 3, rank))), False)
-    everything = np.arange(len(contacts))
+    everything = np.arange(len(problem.contacts))
     return select(experiment, criterion_of("D"), np.zeros(0, dtype=np.intp), [Group("contacts", everything, count)])
 
 
@@ -132,7 +114,7 @@ def _identified(arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: Pa
 
     One search: where the scale is open, noise drives parameters to their bounds, and more starts find only more of the same.
     """
-    problem = PairProblem(arms, contacts, base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools)
+    problem = PairProblem(arms, contacts, base, plan)
     wanted = plan.objective
     if isinstance(wanted, Huber):
         robust = minimise(problem, SumOfDistances(), ONE_SEARCH)
@@ -140,14 +122,14 @@ def _identified(arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: Pa
     return problem, minimise(problem, wanted, ONE_SEARCH, equal="by noise")
 
 
-def _placed(arms: tuple[Arm, Arm], contacts: Contacts) -> PairProblem:
+def placed_by(arms: tuple[Arm, Arm], contacts: Contacts) -> PairProblem:
     """The problem of the second base alone, nominal arms, at its solution."""
     names = names_of(arms)
     start = Frame(f"{names[1]}_{BASE}", *_started(arms, contacts))
-    fixed = [p.name for p in PairProblem(arms, contacts, start).parameters if f"_{BASE}_" not in p.name]
-    problem = PairProblem(arms, contacts, start, fixed=fixed)
+    geometry = [p.name for p in PairProblem(arms, contacts, start).parameters if f"_{BASE}_" not in p.name]
+    problem = PairProblem(arms, contacts, start, PairPlan(fixed=geometry))
     x = minimise(problem, Huber(PLACING_m), ONE_SEARCH).x  # nominal arms: some contacts may be far off
-    return PairProblem(arms, contacts, problem.solution(x)[1], fixed=fixed)
+    return PairProblem(arms, contacts, problem.solution(x)[1], problem.plan)
 
 
 def _started(arms: tuple[Arm, Arm], contacts: Contacts) -> tuple[Array, Array]:
@@ -193,7 +175,7 @@ def _held_out(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, advance
         advance("leaving contacts out", 0.3 + 0.7 * fold / FOLDS)
         out = np.arange(fold, m, FOLDS)
         rest = contacts.chosen(np.setdiff1d(np.arange(m), out))
-        placed = _placed(arms, rest)
+        placed = placed_by(arms, rest)
         problem, best = _identified(arms, rest, placed.base, plan)
         before[out] = contact_errors_m(arms, placed.base, contacts.chosen(out))
         after[out] = contact_errors_m(*problem.solution(best.x), contacts.chosen(out))

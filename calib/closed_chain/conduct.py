@@ -58,7 +58,6 @@ class PairStation:
     watch: ContactWatch
     hand: PairHand | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
-    clock_offset_s: float = 0.0
 
 
 def contact_plan(names: tuple[str, str], fingerprint: str, contacts: Contacts, seat: Seating) -> SessionPlan:
@@ -209,7 +208,7 @@ class _Conductor(Conversation):
         station, how = self._station, self._station.settings
         for arm in station.arms:
             wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
-        first, second = (take(target, None, arm, how, None, station.clock_offset_s) for arm in station.arms)
+        first, second = (take(target, None, arm, how, None) for arm in station.arms)
         return replace(
             first,
             q_rad=first.q_rad + second.q_rad,

@@ -12,7 +12,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from calib.arm_problem.posed import in_threes, inverse_jacobians
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
+from calib.identify.objective import Huber, Objective
 from calib.points.points import Points, make_points
 from calib.points.reading import beyond, read_points
 from calib.points.writer import DISTANCE, Key
@@ -187,34 +188,36 @@ class PairExpansion:
         return np.zeros((k, k))
 
 
+@dataclass(frozen=True, slots=True)
+class PairPlan:
+    """What to identify: `fixed` parameters by name such as left_theta4, arms whose tip is identified too; by which objective."""
+
+    bounds: Bounds = field(default_factory=Bounds)
+    fixed: Collection[str] = ()
+    free_tools: Collection[str] = ()
+    objective: Objective = field(default_factory=Huber)
+
+
 class PairProblem:
     """Two arms and their contacts; unknowns are DH and tool of the first, of the second, and the second's base."""
 
-    def __init__(
-        self,
-        arms: tuple[Arm, Arm],
-        contacts: Contacts,
-        base: Frame,
-        *,
-        bounds: Bounds | None = None,
-        fixed: Collection[str] = (),
-        free_tools: Collection[str] = (),
-    ) -> None:
-        """`base`: start of the second base in the first; `free_tools`: names of arms whose tip is identified too."""
+    def __init__(self, arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan | None = None) -> None:
+        """`base`: start of the second base in the first."""
         self.arms, self.contacts, self.base = arms, contacts, base
+        self.plan = plan = plan or PairPlan()
         self.models = (ArmModel(arms[0]), ArmModel(arms[1]))
         self.names = names_of(arms)
         tips = self.models[1].tips(arms[1].dh, contacts.second_rad)
         self._centre = tips.mean(axis=0) if len(tips) else np.zeros(3)
         self.joins = self._nominal_joins()
-        everything = self._all_parameters(bounds or Bounds(), free_tools)
+        everything = self._all_parameters(plan.bounds, plan.free_tools)
         known = [p.name for p in everything]
-        require_known_names(fixed, known)
-        self._places = np.array([k for k, name in enumerate(known) if name not in fixed], dtype=np.intp)
+        require_known_names(plan.fixed, known)
+        self._places = np.array([k for k, name in enumerate(known) if name not in plan.fixed], dtype=np.intp)
         self.parameters = tuple(everything[k] for k in self._places)
         self._scale = np.array([p.scale for p in self.parameters])
         self._whole = len(everything)
-        self._sizes = [arm.dh.size + 3 * (name in free_tools) for name, arm in zip(self.names, arms, strict=True)]
+        self._sizes = [arm.dh.size + 3 * (name in plan.free_tools) for name, arm in zip(self.names, arms, strict=True)]
         self._near = np.flatnonzero(contacts.distance_m == 0.0)
         self._far = np.flatnonzero(contacts.distance_m > 0.0)
 

@@ -12,8 +12,8 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
-from calib.closed_chain.calibrate import PairPlan, choose_contacts
-from calib.closed_chain.pair_problem import Contacts, PairProblem, contact_points
+from calib.closed_chain.calibrate import choose_contacts
+from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem, contact_points
 from calib.design.candidates import (
     FREE_HEIGHT_M,
     Mask,
@@ -262,7 +262,7 @@ def plan_contacts(
             f" each other by clearance_m and 0.03 m (only the last tool_length_m of an arm, {cell.tool_length_m:g} m"
             " here, may come near the other's)"
         )
-    rows = choose_contacts(arms, offers.contacts, plan, count, NOISE_m, base)
+    rows = choose_contacts(PairProblem(arms, offers.contacts, base, plan), count, NOISE_m)
     rest = [row for row in range(len(offers.contacts)) if row not in set(rows)]
     chosen = offers.chosen(rows)
     known = what_they_determine(arms, chosen.contacts, base, plan)
@@ -271,7 +271,7 @@ def plan_contacts(
 
 def what_they_determine(arms: tuple[Arm, Arm], contacts: Contacts, base: Frame, plan: PairPlan) -> Determinability:
     """Of the parameters of both arms and of the second base, by the arms' nominal models."""
-    problem = PairProblem(arms, contacts, base, bounds=plan.bounds, fixed=plan.fixed, free_tools=plan.free_tools)
+    problem = PairProblem(arms, contacts, base, plan)
     return determinability(problem.sensitivity(np.zeros(len(problem.parameters))), problem.parameters)
 
 

@@ -93,15 +93,13 @@ class Uncertainty:
     rank: int
 
 
-def experiment_of(
-    arm: Arm, poses: Points, workspace_q: Array, noise_m: float, choice: Choice, turn_noise_rad: float | None = None
-) -> Experiment:
+def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, choice: Choice) -> Experiment:
     """All poses (taken and candidates) of an arm as information; `choice` as for the identification.
 
-    `turn_noise_rad`: the orientation of every measured tip is measured, too, with this noise.
+    With its `orientation_noise_rad` the orientation of every measured tip is measured, too.
     """
     problem = problem_of(arm, poses, choice)
-    parameters, rows = _rows(arm, poses, problem, noise_m, choice, turn_noise_rad)
+    parameters, rows = _rows(arm, poses, problem, noise_m, choice)
     is_place = _is_place(problem, parameters)
     tied = ~np.array([frame.is_free for frame in problem.observed.frames])[problem.observed.frame]
     parameters = tuple(p for p, place in zip(parameters, is_place, strict=True) if not place)
@@ -143,23 +141,20 @@ def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertai
     )
 
 
-def _rows(
-    arm: Arm, poses: Points, problem: ArmProblem, noise_m: float, choice: Choice, turn_noise_rad: float | None
-) -> tuple[tuple[Parameter, ...], Array]:
+def _rows(arm: Arm, poses: Points, problem: ArmProblem, noise_m: float, choice: Choice) -> tuple[tuple[Parameter, ...], Array]:
     """The unknowns, and each pose's derivatives over their noise: (m, 3, k), with orientations (m, 6, k)."""
-    if turn_noise_rad is None:
+    if choice.orientation_noise_rad is None:
         _, jacobian = problem.residuals_and_jacobian(np.zeros(len(problem.parameters)))
         return problem.parameters, np.array(jacobian) / noise_m
     seen = np.isfinite(poses.tip_m).all(axis=1)
     turned = np.full((len(poses), 4), np.nan)
     turned[seen] = quaternions(ForwardKinematics(arm).link_transforms(poses.q_rad[seen])[:, -1, :3, :3])
-    known = dataclasses.replace(choice, orientation_noise_rad=turn_noise_rad)
-    whole = PosedProblem(problem_of(arm, dataclasses.replace(poses, orientation=turned), known))
+    whole = PosedProblem(problem_of(arm, dataclasses.replace(poses, orientation=turned), choice))
     _, jacobian = whole.residuals_and_jacobian(np.zeros(len(whole.parameters)))
     m, k = len(poses), len(whole.parameters)
     rows = np.zeros((m, 6, k))
     rows[:, :3] = jacobian[:m] / noise_m
-    rows[whole.rows, 3:] = jacobian[m:] / (whole.lever_m * turn_noise_rad)
+    rows[whole.rows, 3:] = jacobian[m:] / (whole.lever_m * choice.orientation_noise_rad)
     return whole.parameters, rows
 
 

@@ -427,7 +427,13 @@ def plan_poses(arm: Arm, recorded: Points | None, request: Request, choice: Choi
     boards = placed_boards(arm, setups, recorded, wanted.boards)
     others = _other_tilts(arm, setups, request)
     in_the_way = boards_in_the_way(arm, recorded, wanted.boards, boards)
-    offer = _offer_of(arm, recorded, request, wanted, {**boards, **others}, in_the_way, noise_m)
+    parts = _candidates(arm, recorded, request, {**boards, **others}, in_the_way)
+    unseen = {s: board.frame for s, board in (boards | others).items() if board.is_known and s not in wanted.boards}
+    turn_rad = _turn_noise_rad(arm, recorded, request)
+    known = dataclasses.replace(wanted, boards={**wanted.boards, **unseen}, orientation_noise_rad=turn_rad)
+    workspace = workspace_poses(arm, in_the_way, 2 * WORKSPACE_POSES_COUNT)[:WORKSPACE_POSES_COUNT]
+    poses = joined([*([] if recorded is None else [recorded]), *parts.values()])
+    offer = _offer_of(experiment_of(arm, poses, workspace, noise_m, known), poses, parts)
     chosen = _chosen(offer, request, setups)
     alternatives = [alone for setup in offer.by_setup for alone in _alternatives(offer, request.criterion, setup)]
     order = visiting_order(arm, offer.poses.chosen(chosen), setups, in_the_way)
@@ -484,16 +490,10 @@ def _other_tilts(arm: Arm, setups: list[str], request: Request) -> dict[str, Pla
     return placed_boards(arm, more, None, {})
 
 
-def _offer_of(
-    arm: Arm,
-    recorded: Points | None,
-    request: Request,
-    choice: Choice,
-    boards: Mapping[str, PlacedBoard],
-    in_the_way: tuple[PlacedBoard, ...],
-    noise_m: float,
-) -> _Offer:
-    """Candidates of all kinds as one experiment."""
+def _candidates(
+    arm: Arm, recorded: Points | None, request: Request, boards: Mapping[str, PlacedBoard], in_the_way: tuple[PlacedBoard, ...]
+) -> dict[str, Points]:
+    """Candidates of all kinds, by setup."""
     sees_tip = recorded is not None and any(
         setup != FREE and np.isfinite(tip).all() for setup, tip in zip(recorded.setup, recorded.tip_m, strict=True)
     )
@@ -502,17 +502,15 @@ def _offer_of(
         parts[FREE] = free_candidates(arm, in_the_way, request.view)
     if not any(len(part) for part in parts.values()):
         raise CalibrationError(_nothing_to_plan(arm, request))
-    poses = joined([*([] if recorded is None else [recorded]), *parts.values()])
-    unseen = {s: board.frame for s, board in boards.items() if board.is_known and s not in choice.boards}
-    known = dataclasses.replace(choice, boards={**choice.boards, **unseen})
-    workspace = workspace_poses(arm, in_the_way, 2 * WORKSPACE_POSES_COUNT)[:WORKSPACE_POSES_COUNT]
-    starts = np.cumsum([0 if recorded is None else len(recorded), *(len(part) for part in parts.values())])
-    return _Offer(
-        experiment_of(arm, poses, workspace, noise_m, known, _turn_noise_rad(arm, recorded, request)),
-        poses,
-        np.arange(starts[0]),
-        {setup: np.arange(a, b) for setup, a, b in zip(parts, starts[:-1], starts[1:], strict=True)},
-    )
+    return parts
+
+
+def _offer_of(experiment: Experiment, poses: Points, parts: Mapping[str, Points]) -> _Offer:
+    """`parts`: the candidates, which follow the recorded ones in `poses`."""
+    counts = [len(part) for part in parts.values()]
+    starts = np.cumsum([len(poses) - sum(counts), *counts])
+    by_setup = {setup: np.arange(a, b) for setup, a, b in zip(parts, starts[:-1], starts[1:], strict=True)}
+    return _Offer(experiment, poses, np.arange(starts[0]), by_setup)
 
 
 def _nothing_to_plan(arm: Arm, request: Request) -> str:

@@ -432,7 +432,7 @@ class _StopsSearch(WaySearch[WayOfStops]):
             q.append(here)
         nearest = np.array(q)
         sides = np.sign(np.diff(nearest, axis=0, prepend=[self._arm.rest_rad]))
-        return self._way(self._arm, self._given, NOWHERE, nearest, sides, np.zeros(len(nearest), dtype=bool))
+        return self._way(self._arm, self._given, NOWHERE, self._conditions(nearest, sides), np.zeros(len(nearest), dtype=bool))
 
     def _best_at(self, shift_m: Vector3) -> WayOfStops | None:
         """The least expected error of each point where the work is moved by shift_m; None if one is out of reach."""
@@ -448,7 +448,7 @@ class _StopsSearch(WaySearch[WayOfStops]):
         rows = [int(min(np.flatnonzero(which == point), key=lambda row: squares[row])) for point in range(len(waypoints.points))]
         if not np.isfinite(squares[rows]).all():
             return None
-        return self._way(arm, waypoints, shift_m, q[rows], sides[rows], np.ones(len(rows), dtype=bool))
+        return self._way(arm, waypoints, shift_m, self._conditions(q[rows], sides[rows]), np.ones(len(rows), dtype=bool))
 
     def _sides(self, arm: Arm, q: Array) -> tuple[Array, Array]:
         """The best side (p, n) of each posture (p, n), and its squared error [m^2]; infinite where no lead-in is possible."""
@@ -472,9 +472,8 @@ class _StopsSearch(WaySearch[WayOfStops]):
     def _conditions(self, q: Array, sides: Array) -> Conditions:
         return Conditions(q, sides, np.full(len(q), self._freedom.payload_kg))
 
-    def _way(self, arm: Arm, waypoints: Waypoints, shift_m: Vector3, q: Array, sides: Array, led: Mask) -> WayOfStops:
-        poses = self._conditions(q, sides)
-        return WayOfStops(arm, waypoints, shift_m, tuple(range(len(q))), poses, led, self._judge.cost(poses))
+    def _way(self, arm: Arm, waypoints: Waypoints, shift_m: Vector3, poses: Conditions, led: Mask) -> WayOfStops:
+        return WayOfStops(arm, waypoints, shift_m, tuple(range(len(led))), poses, led, self._judge.cost(poses))
 
     def _ordered(self, way: WayOfStops) -> WayOfStops:
         """A short way through all points, if they may be visited in any order; lead-ins keep the sides."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.arrays import Array, norms
 from calib.report.page import AFTER, BEFORE, NAMES, PLANNED, label_plane, svg
-from calib.validation.statistics import ErrorSummary
 from calib.validation.verify import Comparison, Track, TrackPair
 
 if TYPE_CHECKING:
@@ -141,12 +140,27 @@ def _draw_histogram(axes: Axes, comparison: Comparison) -> None:
 
 
 def _draw_setups(axes: Axes, comparison: Comparison) -> None:
+    """Every point, and the means with their intervals over them."""
     entries = [comparison.of(name) for name in comparison.setups]
     drawn = comparison.thinned(DRAWN_MOST)
     place = {name: float(k) for k, name in enumerate(comparison.setups)}
     at = np.array([place[name] for name in drawn.setup])
-    _draw_summaries(axes, at - 0.17, drawn.before_m, [e.before for e in entries], BEFORE, "before")
-    _draw_summaries(axes, at + 0.17, drawn.after_m, [e.after for e in entries], AFTER, "after")
+    for shift, errors_m, summaries, colour, marker, when in (
+        (-0.17, drawn.before_m, [e.before for e in entries], BEFORE, "s", "before"),
+        (0.17, drawn.after_m, [e.after for e in entries], AFTER, "o", "after"),
+    ):
+        axes.plot(at + shift, 1e3 * norms(errors_m), ".", color=colour, alpha=0.3, ms=4)
+        axes.errorbar(
+            np.arange(len(summaries)) + shift,
+            [1e3 * s.mean_m for s in summaries],
+            yerr=[np.nan_to_num(1e3 * s.mean_half_width_m) for s in summaries],
+            fmt=marker,
+            color=colour,
+            mec="black",
+            mew=0.6,
+            capsize=5,
+            label=f"{when}, mean and 95 %",
+        )
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_xticks(np.arange(len(entries), dtype=float), [e.setup for e in entries])
@@ -154,23 +168,6 @@ def _draw_setups(axes: Axes, comparison: Comparison) -> None:
     axes.set(xlabel="setup", ylabel="error [mm]")
     axes.set_title("error by setup", loc="left")
     axes.legend(fontsize=8)
-
-
-def _draw_summaries(axes: Axes, places: Array, errors_m: Array, summaries: list[ErrorSummary], colour: str, when: str) -> None:
-    """Every point, and the means with their intervals over them."""
-    shift = -0.17 if when == "before" else 0.17
-    axes.plot(places, 1e3 * norms(errors_m), ".", color=colour, alpha=0.3, ms=4)
-    axes.errorbar(
-        np.arange(len(summaries)) + shift,
-        [1e3 * s.mean_m for s in summaries],
-        yerr=[np.nan_to_num(1e3 * s.mean_half_width_m) for s in summaries],
-        fmt="s" if when == "before" else "o",
-        color=colour,
-        mec="black",
-        mew=0.6,
-        capsize=5,
-        label=f"{when}, mean and 95 %",
-    )
 
 
 # Ideal against actual trajectories, as Figs. 6, 7 and 10 of SpringerPlus 5:1771: three planes, and the error along the path.

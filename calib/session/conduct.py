@@ -169,10 +169,7 @@ class AutomaticHand(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Resources of a session. hand: None if the operator seats the tip, on request.
-
-    clock_offset_s is added to the arm's clock, so that times continue when a session is resumed.
-    """
+    """Resources of a session. hand: None if the operator seats the tip, on request."""
 
     arm: JogPort
     geometry: ArmGeometry
@@ -182,7 +179,6 @@ class Station:
     camera: TipSensor | None = None
     ways: ClearPaths | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
-    clock_offset_s: float = 0.0
 
 
 def conduct(folder: SessionFolder, station: Station) -> Talk:
@@ -336,7 +332,7 @@ class _Conductor(Conversation):
         cavity: Vector | None = None
         if not target.is_free and self._boards.kind == "known":
             cavity = self._boards.reference_m(target)
-        record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
+        record = take(target, cavity, self._arm, station.settings, station.camera)
         if self._folder.plan.has_pictures:  # which say later where the tip was
             yield Recorded(self._folder.record(record), RecordVerdict(np.full(3, np.nan)))
             return

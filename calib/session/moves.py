@@ -251,8 +251,10 @@ class Transfers:
     ) -> tuple[float, ...]:
         """Angles above a point, nearest to the posture, or to the geometry's; ArmError if it or the point is out of reach."""
         near = self._geometry.posture(self._q_rad) if posture_rad is None else posture_rad
-        starts = above_points(self._geometry, tip_m, normal, self._approach_m, near, approaches)
-        above = tuple(self._geometry.nearest(starts[approach - 1], near))
+        start = straight_above(tip_m, normal, self._approach_m)
+        if approaches > 1:
+            start = opposed_starts(self._geometry, tip_m, normal, self._approach_m, near)[approach - 1]
+        above = tuple(self._geometry.nearest(start, near))
         self._geometry.nearest(tip_m, above)
         return above
 
@@ -292,16 +294,16 @@ SLANTS_RAD = (0.6, 0.95)  # of a slanted path against the normal: beyond 1 rad t
 SIDES = 8
 
 
-def above_points(
-    geometry: ArmGeometry, tip_m: Vector, normal: Vector, height_m: float, q_near: Sequence[float], count: int
-) -> tuple[Vector, ...]:
-    """Start points of `count` (1 or 2) approaches to tip_m, each height_m above the board (base frame).
+def straight_above(tip_m: Vector, normal: Vector, height_m: float) -> Vector:
+    """Start point of the approach straight down to tip_m (base frame)."""
+    return _start(tip_m, normal, (0.0, 0.0, 0.0), height_m)
 
-    A single approach comes straight down. ArmError if the arm cannot reach the point.
-    """
-    straight = _start(tip_m, normal, (0.0, 0.0, 0.0), height_m)
-    if count == 1:
-        return (straight,)
+
+def opposed_starts(
+    geometry: ArmGeometry, tip_m: Vector, normal: Vector, height_m: float, q_near: Sequence[float]
+) -> tuple[Vector, Vector]:
+    """Start points of two approaches to tip_m, each height_m above the board (base frame). ArmError if out of reach."""
+    straight = straight_above(tip_m, normal, height_m)
     at_point = geometry.nearest(tip_m, q_near)
     turns = {straight: _turns(geometry, straight, at_point)}
     for across in _across(normal):

@@ -77,22 +77,16 @@ class SessionSettings:
     window_s: float = 0.02
     average_s: float = 0.1
     payload_kg: float = 0.0
+    clock_offset_s: float = 0.0  # added to the arm's clock, so that times continue when a session is resumed
 
 
-def take(
-    target: Target,
-    tip_m: Vector | None,
-    arm: ArmPort,
-    how: SessionSettings,
-    camera: TipSensor | None,
-    clock_offset_s: float = 0.0,
-) -> Record:
+def take(target: Target, tip_m: Vector | None, arm: ArmPort, how: SessionSettings, camera: TipSensor | None) -> Record:
     """Record the target at the arm's present pose; its tip is the camera's measurement, else tip_m.
 
     SessionError if the arm does not come to rest.
     """
     wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
-    t_s = arm.now_s() + clock_offset_s
+    t_s = arm.now_s() + how.clock_offset_s
     sample = arm.average(how.average_s)
     seen = camera.measure(how.average_s) if camera is not None else None
     return Record(

@@ -164,7 +164,7 @@ class MadePoses:
         placed = list(enumerate(terms, start=len(self.names)))
         self._turning = [(k, term.number - 1, self._column(term)) for k, term in placed if term.kind != "bending"]
         self._bending = [
-            (k, bending_m(arm, arm.dh, at.q_rad, at.payload_kg, term.number)) for k, term in placed if term.kind == "bending"
+            (k, bending_m(arm, at.q_rad, at.payload_kg, term.number)) for k, term in placed if term.kind == "bending"
         ]
         self._plays = [(k, term.number - 1) for k, term in placed if term.kind == "play"]
 

@@ -186,7 +186,7 @@ class Discrepancy:
 
     def _bent(self, at: Conditions, link: int) -> Array:
         """The tip's displacement by a bending link, and how its payload's part departs: no link is an even beam, (m, 3, 2)."""
-        whole, bare = (bending_m(self._arm, self._arm.dh, at.q_rad, kg, link) for kg in (at.payload_kg, 0.0 * at.payload_kg))
+        whole, bare = (bending_m(self._arm, at.q_rad, kg, link) for kg in (at.payload_kg, 0.0 * at.payload_kg))
         return np.stack((whole, DEPARTURE * (whole - bare)), axis=2)
 
     def _gears(self, at: Conditions) -> tuple[Array, Array]:
@@ -254,7 +254,7 @@ class Discrepancy:
         if self._load_Nm is None:
             return {}
         none_kg = np.zeros(len(sample))
-        shifts = {k: bending_m(self._arm, self._arm.dh, sample, none_kg, k) for k in beams(self._arm)}
+        shifts = {k: bending_m(self._arm, sample, none_kg, k) for k in beams(self._arm)}
         scales = {k: math.sqrt(float(np.mean(np.sum(shift**2, axis=1)))) for k, shift in shifts.items()}
         return {k: scale for k, scale in scales.items() if scale > 0.0}
 

@@ -82,6 +82,16 @@ class CameraPictures:
 
 
 @dataclass(frozen=True, slots=True)
+class JudgedView:
+    """What a camera, by its name, saw of a picture; noise_px of a corner; stand (6, 6): the covariance of where it stands."""
+
+    camera: str
+    view: CameraView
+    noise_px: float
+    stand: Array
+
+
+@dataclass(frozen=True, slots=True)
 class PoseSet:
     """All pictures; `stands`: where each camera stands to the first; noise_px of a corner by camera."""
 
@@ -110,14 +120,14 @@ def measure_poses(target: PrintedTarget, cameras: Sequence[CameraPictures], spee
     noise = _noise(by_name, solved)
     measured = []
     for name, (views, poses) in solved.items():
-        seeing = [camera for camera, _ in by_name[name]]
-        scale = [noise[camera.name] for camera in seeing]
-        reason = _reason(views, poses, scale)
-        if reason:
+        seen = [
+            JudgedView(camera.name, view, noise[camera.name], stands[camera.name].covariance)
+            for (camera, _), view in zip(by_name[name], views, strict=True)
+        ]
+        if reason := _reason(seen, poses):
             rejected.append(RejectedPicture(name, reason))
         else:
-            spread = [stands[camera.name].covariance for camera in seeing]
-            measured.append(_measured(name, seeing, views, poses[0][0], scale, spread, speed_m_s))
+            measured.append(_measured(name, seen, poses[0][0], speed_m_s))
     if not measured:
         remedies = [f"; {camera.pictures.remedy}" for camera in cameras if camera.pictures.remedy]
         raise VisionError(f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}{remedies[0] if remedies else ''}")
@@ -193,12 +203,12 @@ def _pooled(parts: Sequence[tuple[float, float]]) -> float:
     return math.sqrt(max(total / max(freedom, 1.0), 1e-12))
 
 
-def _reason(views: Sequence[CameraView], poses: Sequence[tuple[Pose, float]], noise_px: Sequence[float]) -> str:
+def _reason(views: Sequence[JudgedView], poses: Sequence[tuple[Pose, float]]) -> str:
     """Why a picture's pose is not used; empty if it is."""
     if not poses:
         return "fits no pose of the target"
-    variance = float(np.mean(np.square(noise_px)))
-    freedom = sum(2 * len(view.corners) for view in views) - 6
+    variance = float(np.mean(np.square([seen.noise_px for seen in views])))
+    freedom = sum(2 * len(seen.view.corners) for seen in views) - 6
     usual = math.sqrt(poses[0][1] / max(freedom, 1) / variance)
     if usual > BAD_TIMES:
         return f"has residuals {usual:.0f} times the usual: the target or the camera moved, or the target is bent"
@@ -210,38 +220,29 @@ def _reason(views: Sequence[CameraView], poses: Sequence[tuple[Pose, float]], no
     return ""
 
 
-def _measured(
-    name: str,
-    cameras: Sequence[CameraPictures],
-    views: Sequence[CameraView],
-    pose: Pose,
-    noise_px: Sequence[float],
-    stands: Sequence[Array],
-    speed_m_s: float,
-) -> MeasuredPose:
+def _measured(name: str, seen: Sequence[JudgedView], pose: Pose, speed_m_s: float) -> MeasuredPose:
+    views, noise_px = [one.view for one in seen], [one.noise_px for one in seen]
     parts = [misfit(view, pose) for view in views]
     information = sum((p.by_pose.T @ p.by_pose / s**2 for p, s in zip(parts, noise_px, strict=True)), np.zeros((6, 6)))
     inverse: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
     weighted = sum((p.error_px @ p.error_px / s**2 for p, s in zip(parts, noise_px, strict=True)), 0.0)
     freedom = sum(len(p.error_px) for p in parts) - 6
     ratio = (POOLED_FREEDOM + weighted) / (POOLED_FREEDOM + freedom)  # this picture's variance over the usual one
-    common = _common(inverse, parts, views, noise_px, stands)
+    common = _common(inverse, parts, seen)
     moved = motion_covariance(views, speed_m_s)
     corners = sum(len(view.corners) for view in views)
     rms = math.sqrt(sum(float(p.error_px @ p.error_px) for p in parts) / corners)
     covariance: Array = ratio * inverse + common + moved
-    return MeasuredPose(name, pose, frozen(covariance), frozen(common), rms, corners, tuple(c.name for c in cameras))
+    return MeasuredPose(name, pose, frozen(covariance), frozen(common), rms, corners, tuple(one.camera for one in seen))
 
 
-def _common(
-    inverse: Array, parts: Sequence[Misfit], views: Sequence[CameraView], noise_px: Sequence[float], stands: Sequence[Array]
-) -> Array:
+def _common(inverse: Array, parts: Sequence[Misfit], seen: Sequence[JudgedView]) -> Array:
     """Covariance (6, 6) of a pose by what all pictures share: lenses, and where the cameras stand."""
     covariance = np.zeros((6, 6))
-    for part, view, noise, stand in zip(parts, views, noise_px, stands, strict=True):
-        gain = inverse @ part.by_pose.T / noise**2
+    for part, one in zip(parts, seen, strict=True):
+        gain = inverse @ part.by_pose.T / one.noise_px**2
         by_lens, by_stand = gain @ part.by_lens, gain @ part.by_stand
-        covariance += by_lens @ view.lens.covariance @ by_lens.T + by_stand @ stand @ by_stand.T
+        covariance += by_lens @ one.view.lens.covariance @ by_lens.T + by_stand @ one.stand @ by_stand.T
     return covariance
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.arm_problem.assembly import problem_of
 from calib.arrays import norms
-from calib.calibration.calibrate import write_calibrated_arm, write_calibration_json
+from calib.calibration.calibrate import verification_json, write_calibrated_arm, write_calibration_json
 from calib.identify.identification import Identification, identify
 from calib.points.points import Points
 from calib.points.reading import read_points
@@ -123,7 +123,7 @@ def _report(arm: Arm, made: DemoCalibration, verification: Comparison, paths: tu
     """Write calibration.json and report.html."""
     points, identification = made.points, made.found
     calibration = compare(points.setup, points.point, points.tip_m, identification.error_before_m, identification.error_after_m)
-    write_calibration_json(out / "calibration.json", arm.name, identification, made.made, verification)
+    write_calibration_json(out / "calibration.json", arm.name, identification, made.made, verification_json(verification))
     report = out / "report.html"
     write_report(
         report,

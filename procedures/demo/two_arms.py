@@ -19,17 +19,9 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain import planning
-from calib.closed_chain.calibrate import (
-    PairFound,
-    PairPlan,
-    calibrate_pair,
-    calibrated_cell,
-    contact_errors_m,
-    pair_text,
-    write_pair,
-)
+from calib.closed_chain.calibrate import PairFound, calibrate_pair, calibrated_cell, contact_errors_m, pair_text, write_pair
 from calib.closed_chain.conduct import conduct, contact_plan
-from calib.closed_chain.pair_problem import Contacts, read_contacts
+from calib.closed_chain.pair_problem import Contacts, PairPlan, read_contacts
 from calib.design.planning import short_path
 from calib.errors import CalibrationError
 from calib.identify.determinability import open_in_words

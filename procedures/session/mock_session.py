@@ -148,8 +148,7 @@ def arm_station(
         hand=hand,
         camera=port if plan.has_camera else None,
         ways=ClearPaths(arm, geometry),
-        settings=SessionSettings(payload_kg=plan.payload_kg),
-        clock_offset_s=clock_offset_s,
+        settings=SessionSettings(payload_kg=plan.payload_kg, clock_offset_s=clock_offset_s),
     )
 
 
@@ -179,7 +178,7 @@ def pair_station(
         SharedRoom(cell, (first, second)),
         ContactWatch((first.arm, second.arm), base_of(cell, names)),
         hand,
-        clock_offset_s=clock_offset_s,
+        SessionSettings(clock_offset_s=clock_offset_s),
     )
 
 

@@ -264,4 +264,4 @@ class SeenTips:
         def accelerated(place_m: Array) -> Array:
             return self._recording.filters.states(place_m)[2]
 
-        return bending_m(self._arm, self._arm.dh, run.q_raw, payload, link, accelerated)[run.frames]
+        return bending_m(self._arm, run.q_raw, payload, link, accelerated)[run.frames]

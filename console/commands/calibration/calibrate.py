@@ -19,8 +19,8 @@ from calib.calibration.calibrate import (
     write_calibration_json,
 )
 from calib.calibration.report import calibration_report, judgement_json, summary_text
-from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, pair_text, write_pair
-from calib.closed_chain.pair_problem import Contacts, names_of, read_contacts
+from calib.closed_chain.calibrate import calibrate_pair, choose_contacts, pair_text, placed_by, write_pair
+from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem, names_of, read_contacts
 from calib.distances.calibrate import DistancePlan, calibrate_with_distances, distances_json, distances_text
 from calib.distances.problem import WireKnowledge
 from calib.errors import CalibrationError
@@ -236,6 +236,7 @@ def _chosen_contacts(args: argparse.Namespace, arms: tuple[Arm, Arm], contacts: 
     """Print the contacts that say most about both arms."""
     if args.choose < 1:
         raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {args.choose}")
-    rows = choose_contacts(arms, contacts, plan, args.choose, options.length_m(args.noise, "--noise") or NOISE_m)
+    problem = PairProblem(arms, contacts, placed_by(arms, contacts).base, plan)
+    rows = choose_contacts(problem, args.choose, options.length_m(args.noise, "--noise") or NOISE_m)
     sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
     return 0

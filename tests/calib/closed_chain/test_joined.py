@@ -13,8 +13,8 @@ from benchmarks.arms import SIX
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
-from calib.closed_chain.calibrate import PairPlan, calibrate_pair
-from calib.closed_chain.pair_problem import Contacts, PairProblem, read_contacts, turning
+from calib.closed_chain.calibrate import calibrate_pair
+from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem, read_contacts, turning
 from calib.errors import PointsFileError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares
@@ -59,7 +59,7 @@ def posed(dh: Array, goal_m: Array, turned: Array, q_rad: Array) -> tuple[Array,
 
 
 def test_derivatives_are_exact() -> None:
-    problem = PairProblem(ARMS, joined_contacts(6), BASE, free_tools=("right",))
+    problem = PairProblem(ARMS, joined_contacts(6), BASE, PairPlan(free_tools=("right",)))
     x = 0.2 * np.random.default_rng(2).uniform(-1, 1, len(problem.parameters))
     x[-9:] *= 0.02
     jacobian, h = problem.residuals_and_jacobian(x)[1], 1e-6

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.arrays import frozen
-from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, remarks
-from calib.closed_chain.pair_problem import Contacts, PairProblem
+from calib.closed_chain.calibrate import calibrate_pair, choose_contacts, placed_by, remarks
+from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares
@@ -62,7 +62,7 @@ def written(path: Path, contacts: Contacts) -> Path:
 
 def test_derivatives_are_exact() -> None:
     _, contacts = session(1, 10, (0.0, 0.08))
-    problem = PairProblem(ARMS, contacts, BASE, free_tools=("left", "right"))
+    problem = PairProblem(ARMS, contacts, BASE, PairPlan(free_tools=("left", "right")))
     x = 0.2 * np.random.default_rng(2).uniform(-1, 1, len(problem.parameters))
     x[-6:] *= 0.02
     jacobian, h = problem.residuals_and_jacobian(x)[1], 1e-6
@@ -110,7 +110,7 @@ def test_distances_alone_are_enough_to_find_where_the_second_arm_stands() -> Non
 
 def test_chosen_contacts_say_more_than_others() -> None:
     _, contacts = session(7, 60, (0.0, 0.08))
-    chosen = choose_contacts(ARMS, contacts, PLAN, 15, NOISE_m)
+    chosen = choose_contacts(PairProblem(ARMS, contacts, placed_by(ARMS, contacts).base, PLAN), 15, NOISE_m)
     assert len(set(chosen)) == 15
 
     def information(rows: list[int]) -> float:

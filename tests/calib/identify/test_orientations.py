@@ -238,7 +238,9 @@ def test_a_plan_with_orientations_expects_to_know_more() -> None:
     workspace = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 6))
     rows = list(range(20))
     alone = uncertainty_of(experiment_of(arm, points, workspace, POSITION_NOISE_m, BASE), rows)
-    with_turns = experiment_of(arm, points, workspace, POSITION_NOISE_m, BASE, TURN_NOISE_rad)
+    with_turns = experiment_of(
+        arm, points, workspace, POSITION_NOISE_m, dataclasses.replace(BASE, orientation_noise_rad=TURN_NOISE_rad)
+    )
     both = uncertainty_of(with_turns, rows)
     assert both.log_det > alone.log_det + 10.0
     assert both.tip_m < alone.tip_m

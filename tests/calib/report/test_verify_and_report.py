@@ -12,7 +12,7 @@ import pytest
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_session
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import with_tilt_behind
-from calib.calibration.calibrate import write_calibrated_arm, write_calibration_json
+from calib.calibration.calibrate import verification_json, write_calibrated_arm, write_calibration_json
 from calib.errors import CalibrationError
 from calib.report.page import list_section
 from calib.report.pictures import SAMPLES_DRAWN, thinned
@@ -289,7 +289,7 @@ def test_the_calibrated_arm_says_where_it_comes_from_and_replaces_nothing(result
 def test_calibration_json_is_plain_json_with_every_parameter(result, tmp_path: Path) -> None:
     found, comparison = result
     made = Provenance((), "2026-01-01", "0.1.0")
-    write_calibration_json(tmp_path / "c.json", "right", found, made, comparison)
+    write_calibration_json(tmp_path / "c.json", "right", found, made, verification_json(comparison))
     content = json.loads((tmp_path / "c.json").read_text())
     assert content["format"] == "calibration/1"
     assert len(content["parameters"]) == 16

@@ -68,9 +68,9 @@ def test_a_payload_at_the_end_of_a_beam_bends_it_as_the_textbook_says() -> None:
     arm = dataclasses.replace(ARM, links=links)
     q = np.array([[0.2, -np.pi / 2, np.pi / 2]])  # upper arm level, forearm wherever
     for link, length in ((3, np.hypot(0.012, 0.3543)),):
-        moved = bending_m(arm, arm.dh, q, np.array([0.5]), link)
+        moved = bending_m(arm, q, np.array([0.5]), link)
         most = 0.5 * 9.81 * length**3 / 3.0
         assert np.linalg.norm(moved) <= most * 1.001
         folds = np.column_stack((np.full(400, 0.2), np.full(400, -1.0), np.linspace(-1.2, 1.5, 400)))
-        level = np.linalg.norm(bending_m(arm, arm.dh, folds, np.full(400, 0.5), link), axis=1).max()
+        level = np.linalg.norm(bending_m(arm, folds, np.full(400, 0.5), link), axis=1).max()
         assert level == pytest.approx(most, rel=1e-3)
