@@ -313,7 +313,7 @@ def _check_limit_switches(arm: Arm) -> None:
                 kinds = ", ".join(kind for kind, offers in KINDS.items() if offers.has_limit_inputs)
                 expected = (
                     f'the name of a [[digital]] that is an input ({known}); "{OWN_INPUT}" is for: {kinds}; other boards:'
-                    " let the switch open the emergency stop"
+                    " let the switch open the emergency stop, also where the joint's encoder is at an encoder board"
                 )
                 raise Rejected(path, expected, f'"{name}"')
             named += [(path, name)] if name and not is_own else []

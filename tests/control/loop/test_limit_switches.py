@@ -19,7 +19,7 @@ from control.model.reader import Rejected
 from control.safety.table import Mode
 from firmware_iface.errors import ArmwrightError
 from hil_mocks.scenario import Scenario
-from procedures.on_boards import on_boards
+from procedures.on_boards import REFERENCE, on_boards
 from tests.cell import Cell, holding_cell, open_cell, scenario, with_drive
 from tests.control.loop.test_encoder_places import FRICTION, arm_of_four
 
@@ -249,6 +249,24 @@ def test_a_drive_of_cia_402_says_of_switches_at_its_own_inputs(direction: Litera
         cell.until(lambda: bool(cell.runtime.hardware.feedback.channel_flags[0] & ZERO_SET), 40.0)
         assert cell.faults == []
         assert cell.runtime.parts.measurement.q_rad[0] == pytest.approx(cell.rig.joint_rad()[0], abs=5e-3)
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "feetech", "moteus", "vesc"])
+def test_inputs_of_a_reference_board_serve_a_joint_whose_own_board_says_of_none(kind: str) -> None:
+    arm = on_boards(replace(arm_of_four("motor"), effects=FRICTION), (kind, REFERENCE, REFERENCE, REFERENCE))
+    pins = tuple(replace(pin, board=arm.drives[1].motor_node) for pin in PINS)
+    arm = replace(with_drive(arm, 1, limit_switches=SWITCHES), digital=pins)
+    start = scenario((AT_rad - 0.05, 0.0, 0.0, 0.0), homed=True)  # upright axis: it does not fall before it holds
+    with open_cell(start, arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        behind_rad = 0.0  # a servo's own position loop lags, and catches up with the set-point that stands
+        for _ in range(10):
+            if cell.mode is not Mode.FAULT:
+                behind_rad = cell.client.ask("status")["following_error_rad"][0]
+                cell.client.ask("jog", joint_speed_rad_s=[0.2, 0.0, 0.0, 0.0])
+            cell.run(0.1)
+        assert cell.faults == [("limit_switch", "joint 1")]
+        assert AT_rad <= cell.rig.joint_rad()[0] < AT_rad + 2.0 * MARGIN_rad + behind_rad
 
 
 def on_roboclaws(joint: int, direction: Literal[1, -1], end: Literal["lower", "upper"], at_rad: float) -> Arm:
