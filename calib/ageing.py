@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel, dh_names
-from calib.arm_problem.problem import ArmProblem
+from calib.arm_problem.problem import TOOL_NAMES, ArmProblem
 from calib.arrays import Array
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
@@ -47,13 +47,17 @@ class HistoryFileError(CalibrationError):
     """An invalid history.jsonl; the message names file and line."""
 
 
-class GeometryRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Parameters with a nominal value: names, values in their units, scales, and the information matrix of value / scale."""
+class GeometryRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Parameters with a nominal value: names, values in their units, scales, and the information matrix of value / scale.
+
+    is_tool_free: the tool was identified with them, so that they are known but for what another place of the tool does as well.
+    """
 
     names: tuple[str, ...]
     values: tuple[float, ...]
     scales: tuple[Annotated[float, msgspec.Meta(gt=0.0)], ...]
     information: tuple[tuple[float, ...], ...]
+    is_tool_free: bool = False
 
     def __post_init__(self) -> None:
         """Everything has the length of the names."""
@@ -100,6 +104,7 @@ def geometry_of(problem: ArmProblem, fit: Identification) -> GeometryRecord:
         tuple(fit.estimates[k].value for k in bounded),
         tuple(problem.parameters[k].scale for k in bounded),
         tuple(tuple(float(f"{value:.{DIGITS}g}") for value in row) for row in about_bounded),
+        any(one.name in TOOL_NAMES for one in problem.parameters),
     )
 
 
@@ -176,11 +181,13 @@ def measured_at(text: str | None) -> datetime.datetime:
 # workspace, by the full kinematics, relative to the last one's. Their coordinates c are along what
 # parameters can change there (left singular vectors of the tips' derivatives), so that |c|^2 / poses is the
 # mean square at the tip. Then c(t) = start + rate t, by generalised least squares; a step on a given day is
-# fitted in the same way, with its change in the place of the rate.
+# fitted in the same way, with its change in the place of the rate. Where a calibration identified the tool, too, coordinates are
+# across what another place of the tool does: along it, geometry and tool cannot be told apart.
 
 
 POSES: Final = 150
 DRAWN: Final = 5  # poses over the joints' ranges for each one that is used
+HIDDEN: Final = 0.1  # of what a zero does at the tip, if another place of the tool does all but that
 KNOWN: Final = 1e-10  # of the largest eigenvalue of an information matrix, below which nothing is known
 
 
@@ -192,7 +199,7 @@ class DriftLine:
     scatter: how much more the calibrations scatter than they say, at least 1; freedom: degrees of freedom of that, 0 of two
     calibrations; chi_squared: of their scatter. toward (r, n): one radian of each joint's zero, halfway; NaN: not in the record.
     zeros_rad (n,): at the last calibration, from arm.toml's. unseen: combinations of geometry that show at the tip and that the
-    calibrations do not tell the drift of.
+    calibrations do not tell the drift of. is_tool_free: what another place of the tool does is left out.
     """
 
     poses_count: int
@@ -207,6 +214,7 @@ class DriftLine:
     toward: Array
     zeros_rad: Array
     unseen: int
+    is_tool_free: bool
 
     @property
     def information(self) -> Array:
@@ -222,7 +230,7 @@ def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -
     used = [(entry.day, entry.geometry) for entry in entries if entry.geometry is not None]
     if len({day for day, _ in used}) < 2:
         return None
-    view = _View(arm, used[0][1], used[-1][1])
+    view = _View(arm, used[0][1], used[-1][1], any(geometry.is_tool_free for _, geometry in used))
     days = np.array([day for day, _ in used]) - used[-1][0]
     seen = [view.seen(geometry) for _, geometry in used]
     if step_day is None:
@@ -233,8 +241,8 @@ def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -
 class _View:
     """The coordinates of what geometry does at the tip, about the last calibration's."""
 
-    def __init__(self, arm: Arm, first: GeometryRecord, last: GeometryRecord) -> None:
-        self._arm, self._model = arm, ArmModel(arm)
+    def __init__(self, arm: Arm, first: GeometryRecord, last: GeometryRecord, is_tool_free: bool) -> None:
+        self.is_tool_free, self._arm, self._model = is_tool_free, arm, ArmModel(arm)
         self._every = dh_names(len(arm.links))
         self._q = workspace_poses(arm, (), DRAWN * POSES)[:POSES]
         self.count = len(self._q)
@@ -243,13 +251,18 @@ class _View:
         self._tips = slopes.tips
         places = [self._every.index(name) for name in last.names if name in self._every]
         scales = np.array([scale for name, scale in zip(last.names, last.scales, strict=True) if name in self._every])
+        by_tool, _ = np.linalg.qr(slopes.by_tool.reshape(-1, 3))
         by_dh = slopes.by_dh.reshape(-1, len(self._every))
+        by_dh = by_dh - by_tool @ (by_tool.T @ by_dh) if is_tool_free else by_dh
         left, singular, _ = np.linalg.svd(by_dh[:, places] * scales, full_matrices=False)
         self._basis = left[:, singular > RANK_TOLERANCE * singular[0]]
         thetas = list(self._model.theta_places)
         # Halfway between the first and the last, where a tangent is the chord of a large change.
         midway = self._model.slopes(0.5 * (self._table(first) + self._dh), self._q).by_dh
-        self.toward = self._basis.T @ midway.reshape(-1, len(self._every))[:, thetas]
+        turned = midway.reshape(-1, len(self._every))[:, thetas]
+        self.toward = self._basis.T @ turned
+        hidden = np.linalg.norm(self.toward, axis=0) < HIDDEN * np.linalg.norm(turned, axis=0)
+        self.toward[:, hidden] = np.nan  # the tool's place does as much
         self.toward[:, [self._every[place] not in last.names for place in thetas]] = np.nan
         self.zeros_rad = (self._dh - arm.dh).ravel()[thetas]
 
@@ -314,6 +327,7 @@ def _fitted(view: _View, seen: list[tuple[Array, Array]], days: Array, passed: A
         toward=view.toward,
         zeros_rad=view.zeros_rad,
         unseen=2 * size - _rank(normal),
+        is_tool_free=view.is_tool_free,
     )
 
 
@@ -533,8 +547,10 @@ class Due:
 
 
 def due(line: DriftLine, tolerance_m: float) -> Due | None:
-    """By the drift of the geometry, root mean square over the workspace; None with fewer than LEAST calibrations."""
-    if line.count < LEAST:
+    """By the drift of the geometry, root mean square over the workspace; None with fewer than LEAST calibrations, or where they
+    identified the tool, too: of what another place of the tool does, nothing is known.
+    """
+    if line.count < LEAST or line.is_tool_free:
         return None
     start, speed = _drawn(line)
     constant, mixed, square = (
@@ -680,6 +696,13 @@ def _about_due(trend: Trend) -> Iterator[str]:
     if trend.tolerance_m is None:
         return
     limit = f"{MILLI * trend.tolerance_m:.3g} mm"
+    if trend.geometry is not None and trend.geometry.line.is_tool_free:
+        yield (
+            f"No date is promised for {limit}: calibrations on record identified the tool, too (--free tool), and another place"
+            " of the tool looks like a zero of the last joint that drifts. Calibrate with the tool that you know, such as that of"
+            " the calibrated arm.toml."
+        )
+        return
     if trend.due is None:
         yield (f"The next date cannot be estimated for {limit} yet: that needs at least {LEAST} calibrations on different days.")
         return

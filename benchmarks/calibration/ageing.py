@@ -42,16 +42,16 @@ def measured(dh: Array, rng: np.random.Generator) -> Points:
     return make_points(setups, [f"p{k}" for k in range(len(angles))], [1] * len(angles), angles, tips)
 
 
-def history(days: Sequence[float], rate_rad_year: Array, seed: int) -> tuple[Entry, ...]:
+def history(days: Sequence[float], rate_rad_year: Array, seed: int, choice: Choice | None = None) -> tuple[Entry, ...]:
     """Calibrations on these days of an arm whose joints' zeros drift steadily (3,)."""
     rng = np.random.default_rng(seed)
     true = REFERENCE_DH + deviations(rng, 4)
-    return tuple(entry_of(day, _drifted(true, day, rate_rad_year), rng) for day in days)
+    return tuple(entry_of(day, _drifted(true, day, rate_rad_year), rng, choice) for day in days)
 
 
-def entry_of(day: float, dh: Array, rng: np.random.Generator) -> Entry:
+def entry_of(day: float, dh: Array, rng: np.random.Generator, choice: Choice | None = None) -> Entry:
     """The line that `calibrate --history` would write."""
-    problem = problem_of(ARM, measured(dh, rng), Choice())
+    problem = problem_of(ARM, measured(dh, rng), choice or Choice())
     identification = identify(problem, objective=objective_named("lsq"), starts_count=1)
     measured_on = BEGUN + datetime.timedelta(days=day)
     return Entry(FORMAT, measured_on, "calibrate", ARM.name, "test", {}, geometry_of(problem, identification))

@@ -5,11 +5,13 @@ import json
 import math
 from functools import cache
 
+import msgspec
 import numpy as np
 
 from benchmarks.calibration.ageing import ARM, BEGUN, TOLERANCE_m, entry_of, history
 from benchmarks.calibration.chains import REFERENCE_DH
 from calib.ageing import FORMAT, Entry, Quantity, Trend, sentences, trend_json, trend_of
+from calib.arm_problem.assembly import Choice
 from calib.results import json_text
 
 DAYS = (0.0, 40.0, 90.0, 150.0)
@@ -62,6 +64,25 @@ def test_a_tolerance_below_what_a_calibration_knows_is_never_promised() -> None:
     assert trend.due is not None
     assert trend.due.days == 0.0
     assert "cannot be promised" in said(trend)
+
+
+def test_where_the_tool_was_identified_too_other_zeros_are_told_and_no_date() -> None:
+    entries = history(DAYS, np.array([0.0, RATE, 0.0]), 3, Choice(freed=("tool",)))
+    trend = trend_of(ARM, entries, TOLERANCE_m)
+    assert [rate.name for rate in trend.rates] == ["joint 1: zero", "joint 2: zero"]  # the tool does what joint 3 does
+    one, two = trend.rates
+    assert (one.drifts, two.drifts) == (False, True)
+    assert abs(two.change - RATE) < two.half < 0.3 * RATE
+    assert trend.due is None
+    assert "No date is promised" in said(trend)
+    assert "More poses" not in said(trend)
+    assert trend_of(ARM, (*entries[:2], *drifting()[2:]), TOLERANCE_m).due is None
+
+
+def test_only_a_record_with_a_free_tool_says_so() -> None:
+    free = history(DAYS[:1], np.zeros(3), 3, Choice(freed=("tool",)))
+    written = [msgspec.json.decode(msgspec.json.encode(entry))["geometry"] for entry in (*free, drifting()[0])]
+    assert [geometry.get("is_tool_free") for geometry in written] == [True, None]
 
 
 def test_two_calibrations_tell_no_due_date_and_one_tells_nothing() -> None:
