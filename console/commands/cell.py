@@ -87,7 +87,8 @@ def _beside(
             f"together: --beside {name} {leader}: expected another arm with --to, --run, or a --beside before it, got {leader!r}"
         )
     offsets = read_waypoints(Path(file)) if file != KEEP else _present(cell, name, leader, clients)
-    plan = plan_beside(cell, name, leader, motions[leader], offsets, clients[name].status()["joint_rad"])
+    q_near_rad = clients[name].status()["joint_rad"]
+    plan = plan_beside(cell.placed(name), cell.placed(leader), motions[leader], offsets, q_near_rad)
     why = f", {plan.slower:.2f} times as long as {leader} alone{f': {plan.limit}' if plan.limit else ''}"
     sys.stdout.write(f"{name}: beside {leader}, {plan.path.duration_s:.2f} s{why}\n")
     sys.stdout.flush()

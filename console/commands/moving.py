@@ -280,5 +280,5 @@ def beside(args: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoint
             f"run: --relative-to {leader.name}: expected the arm homed and at rest, since the path begins from where its tip is;"
             f" it is {status['mode']} and {homed}"
         )
-    points = cell.beside_tip(placed.name, leader.name, status["tip_set_m"], waypoints.points)
+    points = placed.beside_tip(leader, status["tip_set_m"], waypoints.points)
     return replace(waypoints, points=points)

@@ -5,7 +5,7 @@ between motor and joint are effects (`control.model.effects`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,8 +46,9 @@ class Chain:
     tool_m: Vector3
     rotor_kg_m2: tuple[float, ...]  # of each joint, reflected: ratio^2 times the rotor's
     joint_count: int
-    tool_kg: float = 0.0
-    tool_com_m: Vector3 = ZERO
+    tool_kg: float
+    tool_com_m: Vector3
+    gravity_m_s2: Vector3  # base frame
 
 
 def chain_of(arm: Arm) -> Chain:
@@ -64,7 +65,9 @@ def chain_of(arm: Arm) -> Chain:
     rotors = {d.joint: d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives}
     reflected = tuple(rotors.get(j, 0.0) for j in range(1, joint + 1))
     tool = arm.tool
-    return Chain(tuple(bodies), arm.dh_convention == "modified", tool.position_m, reflected, joint, tool.mass_kg, tool.centre_m)
+    is_modified = arm.dh_convention == "modified"
+    carried = (tool.position_m, reflected, joint, tool.mass_kg, tool.centre_m)
+    return Chain(tuple(bodies), is_modified, *carried, arm.gravity_m_s2)
 
 
 def has_masses(arm: Arm) -> bool:
@@ -96,15 +99,10 @@ def _check_masses(arm: Arm) -> None:
 
 
 def inverse_dynamics(
-    chain: Chain,
-    q: Sequence[Scalar],
-    speed: Sequence[Scalar],
-    acceleration: Sequence[Scalar],
-    gravity_m_s2: Sequence[Scalar],
-    payload_kg: Scalar = 0.0,
+    chain: Chain, q: Sequence[Scalar], speed: Sequence[Scalar], acceleration: Sequence[Scalar], payload_kg: Scalar = 0.0
 ) -> list[Scalar]:
-    """Return the joint torques [N m] for angles, speeds and accelerations; `gravity_m_s2` in the base frame."""
-    turns, moves, forces, moments = _forward(chain, q, speed, acceleration, gravity_m_s2, payload_kg)
+    """Return the joint torques [N m] for angles, speeds and accelerations."""
+    turns, moves, forces, moments = _forward(chain, q, speed, acceleration, payload_kg)
     torques: list[Scalar] = [0.0] * chain.joint_count
     force, moment = ZERO, ZERO  # transmitted to the next link, in this link's frame
     for i in reversed(range(len(chain.bodies))):
@@ -120,19 +118,15 @@ def inverse_dynamics(
 
 
 def _forward(
-    chain: Chain,
-    q: Sequence[Scalar],
-    speed: Sequence[Scalar],
-    acceleration: Sequence[Scalar],
-    gravity: Sequence[Scalar],
-    payload_kg: Scalar,
+    chain: Chain, q: Sequence[Scalar], speed: Sequence[Scalar], acceleration: Sequence[Scalar], payload_kg: Scalar
 ) -> tuple[list[list[Vector]], list[Vector], list[Vector], list[Vector]]:
     """From base to tip: each link's rotation, its origin in the previous frame, and its inertial force and moment.
 
     Gravity enters as an acceleration of the base (Siciliano 7.5).
     """
     omega, alpha = ZERO, ZERO
-    linear: Vector = (-gravity[0], -gravity[1], -gravity[2])
+    x, y, z = chain.gravity_m_s2
+    linear: Vector = (-x, -y, -z)
     turns, moves, forces, moments = [], [], [], []
     for number, body in enumerate(chain.bodies):
         angle = body.dh[1] if body.joint is None else body.dh[1] + q[body.joint]
@@ -235,7 +229,6 @@ class Dynamics:
         if not (payload_kg >= 0.0 and np.isfinite(payload_kg)):
             raise ArmError(f"payload_kg: expected a mass not below 0, got {payload_kg}")
         self._chain = chain_of(arm)
-        self._gravity = arm.gravity_m_s2
         self.payload_kg = payload_kg
         self.joint_count = arm.joint_count
 
@@ -246,14 +239,14 @@ class Dynamics:
         return hash(self._numbers)
 
     @property
-    def _numbers(self) -> tuple[Chain, Vector3, float]:
-        return self._chain, self._gravity, self.payload_kg
+    def _numbers(self) -> tuple[Chain, float]:
+        return self._chain, self.payload_kg
 
     @shared
     def inverse(self) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Floats]:
         """`inverse(q, speed, acceleration) -> torques` [rad, rad/s, rad/s^2 -> N m at the joints]."""
         q, speed, acceleration = self._symbols()
-        torques = self._torques(q, speed, acceleration, self._gravity, self.payload_kg)
+        torques = inverse_dynamics(self._chain, q, speed, acceleration, self.payload_kg)
         return compile_function("inverse_dynamics", [q, speed, acceleration], tuple(torques))
 
     @shared
@@ -261,7 +254,7 @@ class Dynamics:
         """`gravity(q) -> torques` that hold the arm still [N m]."""
         q, *_ = self._symbols()
         still = [0.0] * self.joint_count
-        return compile_function("gravity", [q], tuple(self._torques(q, still, still, self._gravity, self.payload_kg)))
+        return compile_function("gravity", [q], tuple(inverse_dynamics(self._chain, q, still, still, self.payload_kg)))
 
     @shared
     def mass_matrix(self) -> Callable[[Sequence[float]], tuple[Floats, ...]]:
@@ -289,7 +282,7 @@ class Dynamics:
         poses, still = checked_poses(q, self.joint_count), [0.0] * self.joint_count
         payload = np.asarray(self.payload_kg if payload_kg is None else payload_kg, dtype=np.float64)
         result = np.empty(poses.shape)
-        for joint, column in enumerate(self._torques(list(poses.T), still, still, self._gravity, payload)):
+        for joint, column in enumerate(inverse_dynamics(self._chain, list(poses.T), still, still, payload)):
             result[:, joint] = column
         return result
 
@@ -307,7 +300,7 @@ class Dynamics:
     def _batch(self) -> Callable[..., Any]:
         q, speed, acceleration = self._symbols()
         payload = q[0].graph.variable("payload")
-        torques = self._torques(q, speed, acceleration, self._gravity, payload)
+        torques = inverse_dynamics(self._chain, q, speed, acceleration, payload)
         return compile_function("torques", [q, speed, acceleration, payload], tuple(torques), np)
 
     def _symbols(self) -> tuple[list[Symbol], list[Symbol], list[Symbol]]:
@@ -318,17 +311,7 @@ class Dynamics:
 
     def _mass_rows(self, q: Sequence[Scalar]) -> tuple[tuple[Scalar, ...], ...]:
         """Column j is the torque of a unit acceleration of joint j alone, without gravity and speed."""
-        n = self.joint_count
+        n, weightless = self.joint_count, replace(self._chain, gravity_m_s2=ZERO)
         still, units = [0.0] * n, np.eye(n).tolist()
-        columns = [self._torques(q, still, unit, (0.0, 0.0, 0.0), self.payload_kg) for unit in units]
+        columns = [inverse_dynamics(weightless, q, still, unit, self.payload_kg) for unit in units]
         return tuple(tuple(columns[max(i, j)][min(i, j)] for j in range(n)) for i in range(n))
-
-    def _torques(
-        self,
-        q: Sequence[Scalar],
-        speed: Sequence[Scalar],
-        acceleration: Sequence[Scalar],
-        gravity: Sequence[float],
-        payload_kg: Scalar,
-    ) -> list[Scalar]:
-        return inverse_dynamics(self._chain, q, speed, acceleration, gravity, payload_kg)

@@ -6,7 +6,7 @@ measured map adds what it has at the set-point.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from control.dynamics.dynamics import Dynamics
@@ -82,6 +82,20 @@ def with_link_inertia(arm: Arm) -> Arm:
             inertia_kg_m2=(inertia[0] + extra, inertia[1] + extra, inertia[2] + extra),
         )
     return replace(arm, links=tuple(links))
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """One joint's motor, referred to the joint: volts and amperes per N m and rad/s."""
+
+    amperes_per_Nm: float
+    resistance_ohm: float
+    volts_per_rad_s: float
+    supply_V: float
+    current_limit_A: float
+    current_step_A: float = 0.0  # to which its board rounds the current
+    current_is_newest: bool = False  # it belongs to the last command, not to the one before that
+    slack_rad: float = 0.0  # by which it may turn while the encoder stands
 
 
 def torque_constants_Nm_A(arm: Arm) -> Torques:

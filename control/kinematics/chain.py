@@ -173,11 +173,31 @@ def tips_and_dh_jacobian(
 
 
 def tip_slopes(dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float]) -> TipSlopes:
-    """Return the tips of poses (m, n) and their derivatives by every DH parameter and by the tool."""
+    """Return the tips of poses (m, n) and their derivatives by every DH parameter and by the tool.
+
+    The axes of a step are those of the frame that it starts from; a turn about an axis leaves it in place.
+    """
     slopes = np.empty((len(dh), 2, 2, 3, len(q)))  # link, axis z or x, move or turn: the order of a DH row
     axes = slopes[:, :, MOVE]
-    arms = np.empty_like(axes)
-    tip, frame = _walk(dh, q, joints, convention, tool_m, axes, arms)
+    arms = np.empty_like(axes)  # first a point on each axis, then the way from there to the tip
+    angles = q.T + dh[np.asarray(joints), 1, None]
+    cosines, sines = np.cos(angles), np.sin(angles)
+    frame = np.zeros((3, 3, len(q)))  # the moving frame's axes in the base frame
+    frame[0, 0] = frame[1, 1] = frame[2, 2] = 1.0
+    tip = np.zeros((3, len(q)))
+    for step in steps(dh.tolist(), joints, convention):
+        along, kind = (2, Z) if step.axis == "z" else (0, X)
+        axes[step.link, kind] = frame[along]
+        if step.move != 0.0:
+            tip = tip + step.move * frame[along]
+        arms[step.link, kind] = tip
+        if step.joint is not None:
+            _turn(frame, along, cosines[step.joint], sines[step.joint])
+        elif step.turn != 0.0:
+            _turn(frame, along, math.cos(step.turn), math.sin(step.turn))
+    for length, axis in zip(tool_m, frame, strict=True):
+        if length != 0.0:
+            tip = tip + length * axis
     np.subtract(tip, arms, out=arms)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         turn = slopes[:, :, TURN, i]
@@ -185,36 +205,6 @@ def tip_slopes(dh: Array, q: Array, joints: Sequence[bool], convention: Conventi
         turn -= axes[:, :, k] * arms[:, :, j]
     jacobian = slopes.reshape(4 * len(dh), 3, len(q))
     return TipSlopes(np.ascontiguousarray(tip.T), jacobian.transpose(2, 1, 0), frame.transpose(2, 1, 0))
-
-
-def _walk(
-    dh: Array, q: Array, joints: Sequence[bool], convention: Convention, tool_m: Sequence[float], axes: Array, origins: Array
-) -> tuple[Array, Array]:
-    """Fill in each link's z and x axis and a point on each (links, 2, 3, m).
-
-    Return the tip (3, m) and the axes of the last frame (axis, 3, m).
-
-    The axes of a step are those of the frame that it starts from; a turn about an axis leaves it in place.
-    """
-    angles = q.T + dh[np.asarray(joints), 1, None]
-    cosines, sines = np.cos(angles), np.sin(angles)
-    frame = np.zeros((3, 3, len(q)))  # the moving frame's axes in the base frame
-    frame[0, 0] = frame[1, 1] = frame[2, 2] = 1.0
-    origin = np.zeros((3, len(q)))
-    for step in steps(dh.tolist(), joints, convention):
-        along, kind = (2, Z) if step.axis == "z" else (0, X)
-        axes[step.link, kind] = frame[along]
-        if step.move != 0.0:
-            origin = origin + step.move * frame[along]
-        origins[step.link, kind] = origin
-        if step.joint is not None:
-            _turn(frame, along, cosines[step.joint], sines[step.joint])
-        elif step.turn != 0.0:
-            _turn(frame, along, math.cos(step.turn), math.sin(step.turn))
-    for length, axis in zip(tool_m, frame, strict=True):
-        if length != 0.0:
-            origin = origin + length * axis
-    return origin, frame
 
 
 def _turn(frame: Array, along: int, c: Array | float, s: Array | float) -> None:

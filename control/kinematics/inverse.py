@@ -220,11 +220,6 @@ class Solution:
     within_limits: bool
 
 
-# Required distances from singular poses; for arms of another structure, the least tip travel per radian in the weakest direction.
-ELBOW_MARGIN_rad, SHOULDER_MARGIN_m = 0.05, 0.01
-SINGULAR_MARGIN_m = 0.005
-
-
 class InverseKinematics:
     """Joint angles for tip positions of one arm, to 1e-9 m; to 0.1 mm where the tip moves on a surface (`moves_freely`)."""
 
@@ -392,14 +387,13 @@ class InverseKinematics:
             shoulder_m = -shoulder_m
         if branch.elbow == "down":
             elbow_rad = -elbow_rad
-        if not shoulder_m >= SHOULDER_MARGIN_m:
-            limit, pose = SHOULDER_MARGIN_m, "having the tip on axis 1"
-            raise errors.near_singular(self._name, point, "shoulder", shoulder_m, limit, "m", pose)
-        limit = ELBOW_MARGIN_rad
-        if not elbow_rad >= limit:
-            raise errors.near_singular(self._name, point, "elbow", elbow_rad, limit, "rad", "stretched")
-        if not pi - elbow_rad >= limit:
-            raise errors.near_singular(self._name, point, "elbow", pi - elbow_rad, limit, "rad", "folded")
+        for singularity, margin in (
+            (errors.ABOVE_AXIS_1, shoulder_m),
+            (errors.STRETCHED, elbow_rad),
+            (errors.FOLDED, pi - elbow_rad),
+        ):
+            if not margin >= singularity.least:
+                raise errors.near_singular(self._name, point, singularity, margin)
 
     def _nearest_numeric(self, target: Vector3, q_near: Sequence[float]) -> tuple[float, ...]:
         limits = np.array(self._range.limits)
@@ -444,6 +438,5 @@ class InverseKinematics:
         if not self.moves_freely:
             return
         weakest = float(np.linalg.svd(self.kinematics.tip_jacobian(*q)[1], compute_uv=False)[-1])
-        limit, pose = SINGULAR_MARGIN_m, "losing a direction of motion"
-        if weakest < limit:
-            raise errors.near_singular(self._name, target, "arm", weakest, limit, "m/rad", pose)
+        if weakest < errors.LOSES_A_DIRECTION.least:
+            raise errors.near_singular(self._name, target, errors.LOSES_A_DIRECTION, weakest)

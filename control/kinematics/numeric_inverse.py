@@ -4,6 +4,7 @@ Levenberg-Marquardt on the tip's error, with the joint limits as bounds (Sicilia
 Nocedal and Wright, Numerical Optimization, 10.3).
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,6 +17,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.tracing import KEPT, Graph, compile_function, derivative
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Residual = Callable[[Array], tuple[Array, Array]]
 """The tip's error (k,) [m] in a pose, and the tip's Jacobian (k, n) [m/rad]."""
 _STEPS = 100
@@ -64,9 +66,7 @@ def descended(residual: Residual, start: Sequence[float], limits: Array) -> Desc
         hessian: Array = jacobian.T @ jacobian
         hessian[np.diag_indices_from(hessian)] += damping
         gradient: Array = jacobian.T @ error
-        free: Array = np.asarray(np.linalg.solve(hessian, gradient), dtype=np.float64)
-        step = _inside(free, q, hessian, gradient, lower, upper)
-        tried = np.clip(q + step, lower, upper)
+        tried = np.clip(q + _step(hessian, gradient, q <= lower, q >= upper), lower, upper)
         error_tried, jacobian_tried = residual(tried)
         gain = error @ error - error_tried @ error_tried
         if gain > 0.0:
@@ -81,9 +81,10 @@ def descended(residual: Residual, start: Sequence[float], limits: Array) -> Desc
     return Descent(tuple(q.tolist()), float(np.sqrt(error @ error)))
 
 
-def _inside(step: Array, q: Array, hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Solve again without the joints that are at a limit and would be pushed beyond it."""
-    blocked = ((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0))
+def _step(hessian: Array, gradient: Array, is_lowest: Flags, is_highest: Flags) -> Array:
+    """Solve, and again without the joints that are at a limit and would be pushed beyond it."""
+    step: Array = np.asarray(np.linalg.solve(hessian, gradient), dtype=np.float64)
+    blocked = (is_lowest & (step < 0.0)) | (is_highest & (step > 0.0))
     if not blocked.any() or blocked.all():
         return step
     free = np.flatnonzero(~blocked)
@@ -125,16 +126,11 @@ class Newton:
         try:
             for _ in range(_NEWTON_STEPS):
                 q1, q2, q3, square = step(q1, q2, q3, x, y, z)
-                if square < _QUADRATIC_M2 and self._is_there(q1, q2, q3, x, y, z):
+                if square < _QUADRATIC_M2 and math.dist(self._tip(q1, q2, q3), point) < ACCURACY_M:
                     return q1, q2, q3
         except (ZeroDivisionError, OverflowError, ValueError):
             return None
         return None
-
-    def _is_there(self, q1: float, q2: float, q3: float, x: float, y: float, z: float) -> bool:
-        tx, ty, tz = self._tip(q1, q2, q3)
-        dx, dy, dz = tx - x, ty - y, tz - z
-        return dx * dx + dy * dy + dz * dz < ACCURACY_M * ACCURACY_M
 
 
 @lru_cache(maxsize=KEPT)

@@ -177,7 +177,6 @@ def _solved(matrices: Array, right: Array) -> Array:
 
 
 ORIENTATION_TOLERANCE_RAD = 2e-3  # the same: three decimals of a quaternion
-SINGULAR_MARGIN_M = 0.005  # m/rad, as for positions
 _SCATTERED, _SCATTERED_TURNED = 12, 40  # starting poses: with orientation, fewer of them lead to the target
 _ANOTHER_RAD = 0.05  # solutions further apart than this are different ones
 
@@ -276,10 +275,9 @@ class PoseInverse:
             beyond_rad, joint = self._range.farthest_rad(q)
             return problems.beyond_range(name, str(target), joint, beyond_rad)
         task = self._tasks[target.orientation is not None]
-        margin, limit = float(margins(task, solved.tip.jacobian)[0]), SINGULAR_MARGIN_M
-        if margin < limit:
-            pose = "losing a direction of motion"
-            return problems.near_singular(name, target.position_m, "arm", margin, limit, "m/rad", pose)
+        margin = float(margins(task, solved.tip.jacobian)[0])
+        if margin < problems.LOSES_A_DIRECTION.least:
+            return problems.near_singular(name, target.position_m, problems.LOSES_A_DIRECTION, margin)
         return None
 
 

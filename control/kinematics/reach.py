@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import pi
 from operator import le
+from typing import Final
 
 from control.errors import BadTarget, JointLimitViolated, NearSingular, OutOfReach
 from control.model.arm import Arm, Vector3
@@ -31,15 +33,31 @@ def out_of_reach(name: str, point: Sequence[float], distance_m: float) -> OutOfR
     return OutOfReach(message, distance_m)
 
 
-def near_singular(
-    name: str, point: Sequence[float], which: str, margin: float, limit: float, unit: str, pose: str
-) -> NearSingular:
+@dataclass(frozen=True, slots=True)
+class Singularity:
+    """Which part of the arm is singular in which pose, and the margin that is kept: an angle, a way, tip travel per radian."""
+
+    which: str
+    pose: str
+    least: float
+    unit: str
+
+
+ELBOW_MARGIN_rad: Final = 0.05
+STRETCHED: Final = Singularity("elbow", "stretched", ELBOW_MARGIN_rad, "rad")
+FOLDED: Final = Singularity("elbow", "folded", ELBOW_MARGIN_rad, "rad")
+ABOVE_AXIS_1: Final = Singularity("shoulder", "having the tip on axis 1", 0.01, "m")
+LOSES_A_DIRECTION: Final = Singularity("arm", "losing a direction of motion", 0.005, "m/rad")  # for arms of any structure
+
+
+def near_singular(name: str, point: Sequence[float], singularity: Singularity, margin: float) -> NearSingular:
     """Return the error for a point that needs a pose `margin` from singular."""
+    which, least, unit = singularity.which, singularity.least, singularity.unit
     message = (
-        f"arm {name}: {spelled(point)} is near-singular: the {which} would be {margin:.4f} {unit} from {pose} "
-        f"(least {limit} {unit}); choose a point further away from it"
+        f"arm {name}: {spelled(point)} is near-singular: the {which} would be {margin:.4f} {unit} from {singularity.pose} "
+        f"(least {least} {unit}); choose a point further away from it"
     )
-    return NearSingular(message, which, margin, limit, unit)
+    return NearSingular(message, which, margin, least, unit)
 
 
 def most_telling(failures: list[OutOfReach | NearSingular]) -> OutOfReach | NearSingular:

@@ -8,11 +8,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from control.dynamics.feedforward import Motor
 from control.hardware.interface import Feedback
 from control.hardware.words import HOME_SWITCH, WARNING
 from control.safety.fault import Fault, Reaction
 from control.safety.motor_checks import Lasting, SpeedCheck, TorqueCheck
-from control.servo.servo import Motor
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz
 FRESH_REPLY, FRESH_COUNT = (1.5, 3.0)  # cycles; older values are of another moment than the voltage that was sent
@@ -37,14 +37,7 @@ class Joint:
 
     def __init__(self, name: str, motor: Motor, limits: CrossCheckLimits) -> None:
         self.name, self.motor = name, motor
-        self.speed = SpeedCheck(
-            motor.resistance_ohm,
-            motor.volts_per_rad_s,
-            limits.speed_contradiction_rad_s,
-            motor.current_step_A,
-            motor.current_is_newest,
-            motor.slack_rad,
-        )
+        self.speed = SpeedCheck(motor, limits.speed_contradiction_rad_s)
         self.torque = TorqueCheck(limits.unexplained_torque * motor.current_limit_A)
         most_A = OPEN_CURRENT * motor.current_limit_A
         self.current = Lasting(-most_A, most_A, LASTS_S)

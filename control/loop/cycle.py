@@ -131,17 +131,14 @@ class Cycle(ArmState):
                 self.on(Event.RELEASED)
             return
         aim, paused_s = self.aim, self.elapsed_s - self.parts.period_s
-        q_set_rad: Sequence[float] = aim.q_rad
         if paused_s > 0.0:  # the boards have moved on with their last command
-            q_set_rad = [q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)]
+            aim = aim._replace(q_rad=tuple(q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)))
         is_controlled = self.is_controlled()
         faults = watch.look(
             self.now_s,
             self.parts.hardware.feedback,
-            measured.q_rad,
-            measured.speed_rad_s,
-            q_set_rad,
-            aim.speed_rad_s,
+            measured,
+            aim,
             missed_in_row if is_controlled else 0,
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
             Expectation(self.drives.is_ready, self.monitor.is_homed, is_controlled and self.bridge is None),
@@ -253,7 +250,7 @@ class Cycle(ArmState):
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
         fraction = HOMING_CURRENT_FRACTION if self.is_searching() else 1.0
         joints = None if self.aim is set_point else set_point
-        servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
+        servo.update(self.aim, measured, self.monitor.is_homed, fraction, joints)
         self._command(servo.modes, servo.output)
 
     def _write_all(self, mode: OutputMode, output: Sequence[float]) -> None:

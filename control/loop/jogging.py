@@ -192,8 +192,7 @@ class Jogging:
         if self._guard is None:
             raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
         guard = RestGuard(self._guard.resting_pose, self._guard.objection)
-        inverse, limits = self._inverse, self._limits
-        return TipJog(set_point, inverse.poses, inverse.held, limits.of_motion, limits.tip_speed_m_s, guard)
+        return TipJog(set_point, self._inverse.poses, self._inverse.held, self._limits, guard)
 
     def _cease(self) -> None:
         if isinstance(self._motion, JointJog):

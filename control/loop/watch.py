@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from control.hardware.interface import Feedback
 from control.hardware.words import OPERATION_ENABLED, QUADRATURE_ERROR, SIGNAL_LOST, STATE_MASK, ZERO_SET
+from control.motion.setpoint import JointState
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import allowed_lag, is_stale, overrun
 
@@ -110,22 +111,17 @@ class Watch:
         return is_stale(now_s, at_s, limit_s) and not self.age_s(now_s, at_s) <= limit_s
 
     def look(
-        self,
-        now_s: float,
-        feedback: Feedback,
-        q_rad: Sequence[float],
-        speed_rad_s: Sequence[float],
-        q_set_rad: Sequence[float],
-        speed_set_rad_s: Sequence[float],
-        missed_in_row: int,
-        expected: Expectation,
+        self, now_s: float, feedback: Feedback, measured: JointState, aim: JointState, missed_in_row: int, expected: Expectation
     ) -> list[Fault]:
-        """Return all faults of this cycle, the most likely cause first. `missed_in_row`: 0 where nothing is controlled."""
-        self._allow_lag(now_s, speed_set_rad_s)
+        """Return all faults of this cycle, the most likely cause first.
+
+        `aim`: what the encoders should say; `missed_in_row`: 0 where nothing is controlled.
+        """
+        self._allow_lag(now_s, aim.speed_rad_s)
         is_in_order = (
             self._are_boards_well(now_s, feedback, expected)
             and missed_in_row <= self._limits.missed_in_row
-            and (not expected.is_servoing or self._is_motion_well(q_rad, speed_rad_s, q_set_rad, expected.is_homed))
+            and (not expected.is_servoing or self._is_motion_well(measured, aim.q_rad, expected.is_homed))
         )
         if is_in_order:
             return []
@@ -133,10 +129,8 @@ class Watch:
         if faults:
             return faults
         if expected.is_servoing:
-            for joint, limit in enumerate(self._limits.joints):
-                faults += self._motion(
-                    joint, limit, q_rad[joint], speed_rad_s[joint], q_set_rad[joint], speed_set_rad_s[joint], expected
-                )
+            for joint in range(len(self._limits.joints)):
+                faults += self._motion(joint, measured, aim, expected.is_homed)
         if missed_in_row > self._limits.missed_in_row:
             faults.append(self._late(missed_in_row))
         return faults
@@ -197,10 +191,8 @@ class Watch:
                     return False
         return True
 
-    def _is_motion_well(
-        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], q_set_rad: Sequence[float], is_homed: bool
-    ) -> bool:
-        joints = zip(self._limits.joints, q_rad, speed_rad_s, q_set_rad, self._lag_rad, strict=True)
+    def _is_motion_well(self, measured: JointState, q_set_rad: Sequence[float], is_homed: bool) -> bool:
+        joints = zip(self._limits.joints, measured.q_rad, measured.speed_rad_s, q_set_rad, self._lag_rad, strict=True)
         for limit, q, speed, q_set, lag_rad in joints:
             if not (
                 abs(speed) <= limit.speed_rad_s
@@ -274,16 +266,9 @@ class Watch:
                 Reaction.HOLD,
             )
 
-    def _motion(
-        self,
-        joint: int,
-        limit: MeasuredLimits,
-        q_rad: float,
-        speed_rad_s: float,
-        q_set_rad: float,
-        speed_set_rad_s: float,
-        expected: Expectation,
-    ) -> Iterator[Fault]:
+    def _motion(self, joint: int, measured: JointState, aim: JointState, is_homed: bool) -> Iterator[Fault]:
+        limit, q_rad, q_set_rad = self._limits.joints[joint], measured.q_rad[joint], aim.q_rad[joint]
+        speed_rad_s = measured.speed_rad_s[joint]
         if overrun(speed_rad_s, limit.speed_rad_s) > 0.0:
             yield Fault(
                 "overspeed",
@@ -297,15 +282,11 @@ class Watch:
             yield Fault(
                 "following_error",
                 self._names[joint],
-                f"following error {error_rad:.4f} rad (limit {allowed_rad:.4f} rad at {speed_set_rad_s:.2f} rad/s)",
+                f"following error {error_rad:.4f} rad (limit {allowed_rad:.4f} rad at {aim.speed_rad_s[joint]:.2f} rad/s)",
                 "check for a collision, a loose belt or a load beyond the current limit",
                 Reaction.CONTROLLED,
             )
-        if expected.is_homed:
-            yield from self._range(joint, limit, q_rad, q_set_rad)
-
-    def _range(self, joint: int, limit: MeasuredLimits, q_rad: float, q_set_rad: float) -> Iterator[Fault]:
-        if not limit.holds(q_rad, q_set_rad):
+        if is_homed and not limit.holds(q_rad, q_set_rad):
             yield Fault(
                 "joint_range",
                 self._names[joint],

@@ -95,6 +95,14 @@ class Placed:
         a, b, c = (r[0] * x + r[1] * y + r[2] * z for r in zip(*self.rotation, strict=True))
         return a, b, c
 
+    def beside_tip(self, leader: "Placed", tip_m: Sequence[float], offsets_m: Sequence[Sequence[float]]) -> tuple[Vector3, ...]:
+        """Offsets from another arm's tip, along the axes of the cell, as points of this arm's base frame.
+
+        `tip_m`: that tip in the other arm's own base frame.
+        """
+        x, y, z = leader.in_cell(tip_m)
+        return tuple(self.in_base((x + u, y + v, z + w)) for u, v, w in offsets_m)
+
 
 @dataclass(frozen=True, slots=True)
 class Cell:
@@ -126,16 +134,6 @@ class Cell:
         """The same cell with other descriptions of its arms, in the same order."""
         placed = (dataclasses.replace(p, arm=arm) for p, arm in zip(self.arms, arms, strict=True))
         return dataclasses.replace(self, arms=tuple(placed))
-
-    def beside_tip(
-        self, name: str, leader: str, tip_m: Sequence[float], offsets_m: Sequence[Sequence[float]]
-    ) -> tuple[Vector3, ...]:
-        """Offsets from another arm's tip, along the axes of the cell, as points of the base frame of arm `name`.
-
-        `tip_m`: that tip in the other arm's own base frame.
-        """
-        arm, (x, y, z) = self.placed(name), self.placed(leader).in_cell(tip_m)
-        return tuple(arm.in_base((x + u, y + v, z + w)) for u, v, w in offsets_m)
 
 
 def cell_of_one(arm: Arm) -> Cell:

@@ -14,7 +14,7 @@ from control.kinematics import reach as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.inverse import Branch, InverseKinematics, Solution
 from control.kinematics.kinematics import PoseKinematics
-from control.kinematics.pose_inverse import ORIENTATION_TOLERANCE_RAD, SINGULAR_MARGIN_M, PoseInverse, TipPose
+from control.kinematics.pose_inverse import ORIENTATION_TOLERANCE_RAD, PoseInverse, TipPose
 from control.kinematics.rotation import Quaternion
 from control.model.arm import Arm
 from control.motion import checks
@@ -369,8 +369,7 @@ class PostureFollower:
         if off_m > pose_inverse.POSITION_TOLERANCE_M:
             return problems.out_of_reach(self._name, position, off_m)
         margin = float(pose_inverse.margins(self._task, solved.tip.jacobian)[0])  # so near, Newton's method only fails there
-        pose = "losing a direction of motion"
-        return problems.near_singular(self._name, position, "arm", margin, SINGULAR_MARGIN_M, "m/rad", pose)
+        return problems.near_singular(self._name, position, problems.LOSES_A_DIRECTION, margin)
 
     def _require_near(self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples) -> None:
         """PathError where the tip leaves what was asked for: at a way-point by the tolerance, between them by more."""

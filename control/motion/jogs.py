@@ -13,6 +13,7 @@ from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.pose_inverse import TURN_LENGTH_M, Task
 from control.model.rules import ANGLE
 from control.motion.joint_limits import (
+    JogLimits,
     JointLimits,
     TIP_ACCELERATION_m_s2,
     TIP_JERK_m_s3,
@@ -243,12 +244,9 @@ class TipJog:
     Jogs the tip of any arm, from rest.
     """
 
-    def __init__(
-        self, start: SetPoint, kinematics: PoseKinematics, task: Task, limits: JointLimits, tip_speed_m_s: float, guard: RestGuard
-    ) -> None:
-        """`limits`: those of every motion, not of a jog; `tip_speed_m_s`: the largest tip speed."""
-        self._kinematics, self._task, self._limits, self._guard = kinematics, task, limits, guard
-        self._most_m_s = tip_speed_m_s
+    def __init__(self, start: SetPoint, kinematics: PoseKinematics, task: Task, limits: JogLimits, guard: RestGuard) -> None:
+        self._kinematics, self._task, self._guard = kinematics, task, guard
+        self._limits, self._most_m_s = limits.of_motion, limits.tip_speed_m_s  # joints: as in every motion
         self._joints = start
         self._tip = TipRate(STILL, STILL, STILL)
         self._wanted: Twist = STILL

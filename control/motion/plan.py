@@ -28,7 +28,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_inverse import PoseInverse
 from control.model.arm import Arm
-from control.model.cell import Cell
+from control.model.cell import Placed
 from control.motion import checks, following
 from control.motion.checks import Array, JointSamples, TipSamples
 from control.motion.joint_limits import JointLimits
@@ -293,8 +293,8 @@ class Beside:
     offsets: CartesianSpline
 
 
-def plan_beside(cell: Cell, name: str, leader: str, motion: Motion, offsets: Waypoints, q_near_rad: Sequence[float]) -> Beside:
-    """Plan arm `name` along `offsets` from the tip of arm `leader`, which runs `motion` from rest to rest.
+def plan_beside(follower: Placed, leader: Placed, motion: Motion, offsets: Waypoints, q_near_rad: Sequence[float]) -> Beside:
+    """Plan `follower` along `offsets` from the tip of `leader`, which runs `motion` from rest to rest.
 
     Both are where they should be to each other if they begin together and the runtime stretches the other's motion to this one's
     time (move_together). ArmError if the path cannot be run.
@@ -303,14 +303,15 @@ def plan_beside(cell: Cell, name: str, leader: str, motion: Motion, offsets: Way
         raise ArmError("offsets from another tip: expected way-points without orientation (qw,qx,qy,qz)")
     if motion.duration_s <= 0.0:
         raise ArmError(
-            f"arm {leader!r} does not move: offsets from a tip at rest are run with `armwright run --relative-to {leader}`"
+            f"arm {leader.name!r} does not move: offsets from a tip at rest are run with `armwright run --relative-to"
+            f" {leader.name}`"
         )
     way = _way(offsets, motion.duration_s)
     duration_s = way.duration_s
     times_s = _times(way)
-    spline = _sum(cell, name, leader, Stretched(motion, duration_s), way, times_s)
+    spline = _sum(follower, leader, Stretched(motion, duration_s), way, times_s)
     places = [_place(offsets, way, time_s) for time_s in times_s]
-    path, rest, limit = plan_in_time(cell.placed(name).arm, spline, places, q_near_rad)
+    path, rest, limit = plan_in_time(follower.arm, spline, places, q_near_rad)
     return Beside(path, path.duration_s / motion.duration_s, limit, way.stretched(rest))
 
 
@@ -331,19 +332,18 @@ def _times(way: CartesianSpline) -> list[float]:
     return [float(time_s) for time_s in np.sort(np.concatenate((even[is_far], knots_s)))]
 
 
-def _sum(cell: Cell, name: str, leader: str, motion: Motion, way: CartesianSpline, times_s: Sequence[float]) -> CartesianSpline:
-    """The tip in this arm's base frame: cubics through place and speed at each time."""
-    follower, beside = cell.placed(name), cell.placed(leader)
-    jacobian_at = ForwardKinematics(beside.arm).tip_jacobian
+def _sum(follower: Placed, leader: Placed, motion: Motion, way: CartesianSpline, times_s: Sequence[float]) -> CartesianSpline:
+    """The tip in the follower's base frame: cubics through place and speed at each time."""
+    jacobian_at = ForwardKinematics(leader.arm).tip_jacobian
     turn = np.array(follower.rotation).T
-    across = turn @ np.array(beside.rotation)
+    across = turn @ np.array(leader.rotation)
     points: list[Vector] = []
     speeds: list[Vector] = []
     for time_s in times_s:
         state = motion.at(time_s)
         tip, rows = jacobian_at(*state.q_rad)
         offset, speed, _ = way.at(time_s)
-        points += cell.beside_tip(name, leader, tip, [offset])
+        points += follower.beside_tip(leader, tip, [offset])
         x, y, z = (across @ np.array(rows) @ state.speed_rad_s + turn @ speed).tolist()
         speeds.append((x, y, z))
     return hermite(points, speeds, np.diff(times_s).tolist())

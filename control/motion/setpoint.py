@@ -1,5 +1,6 @@
 """The set-point of all joints, and the protocol of a motion, which gives one for every time."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 Vector = tuple[float, float, float]
@@ -11,6 +12,15 @@ class SetPoint(NamedTuple):
     q_rad: tuple[float, ...]
     speed_rad_s: tuple[float, ...]
     acceleration_rad_s2: tuple[float, ...]
+
+
+class JointState(Protocol):
+    """Angles and speeds of the joints, measured or set: what the loop compares and controls."""
+
+    @property
+    def q_rad(self) -> Sequence[float]: ...
+    @property
+    def speed_rad_s(self) -> Sequence[float]: ...
 
 
 class Motion(Protocol):

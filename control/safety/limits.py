@@ -173,7 +173,11 @@ def limit_set_point(
             and limit.lower_rad <= wanted <= limit.upper_rad
             and speed * speed <= 2.0 * acceleration * room
         ):
-            allowed = _limited_speed(speed, last, last_speed, limit, period_s, joint, reasons)
+            allowed = speed
+            for name, least, most in _speed_limits(last, last_speed, limit, period_s):
+                clip = clamp(allowed, least - _ROUNDING_RAD_S, most + _ROUNDING_RAD_S, name, joint)
+                allowed = clip.value
+                reasons.extend(clip.reasons)
             moved = wanted if allowed == speed else last + allowed * period_s
             wanted = _inside(moved, last, limit)
             speed = (wanted - last) / period_s
@@ -182,22 +186,16 @@ def limit_set_point(
     return AllowedSetPoint(tuple(q_rad), tuple(speed_rad_s), tuple(reasons))
 
 
-def _limited_speed(
-    speed: float, last: float, last_speed: float, limit: SetPointLimits, period_s: float, joint: int, reasons: list[Clip]
-) -> float:
-    """Speed of this step after the limits of acceleration, speed and range, in this order."""
+def _speed_limits(last: float, last_speed: float, limit: SetPointLimits, period_s: float) -> tuple[tuple[str, float, float], ...]:
+    """Name, lower and upper limit of the speed of this step, by acceleration, speed and range, in this order."""
     change = limit.acceleration_rad_s2 * period_s
     upper = stopping_speed(limit.upper_rad - last, limit.acceleration_rad_s2, period_s)
     lower = -stopping_speed(last - limit.lower_rad, limit.acceleration_rad_s2, period_s)
-    for name, least, most in (
+    return (
         (ACCELERATION, last_speed - change, last_speed + change),
         (SPEED, -limit.speed_rad_s, limit.speed_rad_s),
         (RANGE, lower, upper),
-    ):
-        allowed = clamp(speed, least - _ROUNDING_RAD_S, most + _ROUNDING_RAD_S, name, joint)
-        speed = allowed.value
-        reasons.extend(allowed.reasons)
-    return speed
+    )
 
 
 def _inside(position: float, last: float, limit: SetPointLimits) -> float:

@@ -11,6 +11,8 @@ known to a share only. Plain floats: this runs every cycle.
 import math
 from typing import Final
 
+from control.dynamics.feedforward import Motor
+
 SHARE: Final = 0.25  # of each term: R and K that are a fifth off, from parts or from heat
 SHARE_OF_TORQUE: Final = 0.3  # of the model's torque
 SPEED_SMOOTHING_S: Final = 0.03  # a frozen encoder at full speed is told after a tenth of this
@@ -26,24 +28,14 @@ class SpeedCheck:
 
     __slots__ = ("_K", "_R", "_allowed_V", "_base_V", "_before_V", "_is_newest", "_last_V", "_lead_rad", "_left_V", "_slack_rad")
 
-    def __init__(
-        self,
-        resistance_ohm: float,
-        volts_per_rad_s: float,
-        base_rad_s: float,
-        current_step_A: float = 0.0,
-        is_newest: bool = False,
-        slack_rad: float = 0.0,
-    ) -> None:
+    def __init__(self, motor: Motor, base_rad_s: float) -> None:
         """`base_rad_s`: allowed difference of the two speeds at rest and without current.
 
-        `current_step_A`: to which the board rounds its current; `is_newest`: the current belongs to the last command.
-        `slack_rad`: by which the motor may turn while its encoder, on the joint, stands: the integral of what is beyond the
-        allowed difference must exceed it.
+        Where the motor may turn while its encoder stands, the integral of what is beyond that must exceed the slack.
         """
-        self._slack_rad = slack_rad
-        self._R, self._K, self._is_newest = resistance_ohm, volts_per_rad_s, is_newest
-        self._base_V = base_rad_s * volts_per_rad_s + 0.5 * current_step_A * resistance_ohm
+        self._slack_rad = motor.slack_rad
+        self._R, self._K, self._is_newest = motor.resistance_ohm, motor.volts_per_rad_s, motor.current_is_newest
+        self._base_V = base_rad_s * motor.volts_per_rad_s + 0.5 * motor.current_step_A * motor.resistance_ohm
         self.forget()
 
     def forget(self) -> None:

@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from control.dynamics.feedforward import torque_constants_Nm_A
+from control.dynamics.feedforward import Motor, torque_constants_Nm_A
 from control.dynamics.gains import InertiaScale, gains_of
 from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
 from control.dynamics.loads import Loads, without_tool_mass
@@ -40,7 +40,7 @@ from control.safety.limits import SetPointLimits, UniqueTurn
 from control.server.cell_requests import CellRequests
 from control.server.requests import Requests
 from control.servo.pid import Pid
-from control.servo.servo import GravityCompensation, MotionTorque, Motor, Servo
+from control.servo.servo import GravityCompensation, MotionTorque, Servo
 
 PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host with longer pauses is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: no controlled motion overshoots as much
@@ -87,24 +87,8 @@ def assemble(
         motor_leads=_motor_leads(arm),
         second_encoders=tuple(j for j, d in enumerate(arm.drives) if d.motor_counts_per_rev is not None),
         servo=servo,
-        checks=Checks(
-            watch=Watch(_watch_limits(arm, period_s), names),
-            motors=cross_checks.CrossChecks(_motors(arm), _cross_check_limits(arm), names),
-            indices=_indices(arm, measurement, names),
-            switches=cross_checks.SwitchWatch([_switch_place(drive) for drive in arm.drives]),
-            motor_counts=_motor_counts(arm, names),
-            leads=cross_checks.LeadWatch(arm.limits.transmission_slack_rad, names),
-            limit_switches=cross_checks.LimitSwitchWatch(list(_limit_switches(arm, names))),
-        ),
-        set_point_limits=tuple(
-            SetPointLimits(
-                drive.joint_lower_rad,
-                drive.joint_upper_rad,
-                SET_POINT_MARGIN * drive.joint_speed_limit_rad_s,
-                SET_POINT_MARGIN * drive.joint_acceleration_limit_rad_s2,
-            )
-            for drive in arm.drives
-        ),
+        checks=_checks(arm, measurement, period_s, names),
+        set_point_limits=tuple(_set_point_limits(drive, SET_POINT_MARGIN, SET_POINT_MARGIN) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
         gravity_compensation=_gravity_compensation(arm, servo, names, limits),
         stop_from=lambda state: StopMotion(state, limits),
@@ -130,6 +114,18 @@ def assemble(
     requests = Requests(runtime, limits, arm, dict(about or {}))
     requests.beside = guard_itself(arm, runtime)
     return Assembly(runtime, requests)
+
+
+def _checks(arm: Arm, measurement: Measurement, period_s: float, names: Sequence[str]) -> Checks:
+    return Checks(
+        watch=Watch(_watch_limits(arm, period_s), names),
+        motors=cross_checks.CrossChecks(_motors(arm), _cross_check_limits(arm), names),
+        indices=_indices(arm, measurement, names),
+        switches=cross_checks.SwitchWatch([_switch_place(drive) for drive in arm.drives]),
+        motor_counts=_motor_counts(arm, names),
+        leads=cross_checks.LeadWatch(arm.limits.transmission_slack_rad, names),
+        limit_switches=cross_checks.LimitSwitchWatch(list(_limit_switches(arm, names))),
+    )
 
 
 def _gravity_compensation(arm: Arm, servo: Servo, names: Sequence[str], limits: JointLimits) -> GravityCompensation:
@@ -275,7 +271,7 @@ def _servo(arm: Arm, loads: Loads, period_s: float) -> Servo:
     for drive, mode in zip(arm.drives, modes, strict=True):
         gains = gains_of(arm, drive.joint, period_s)
         limit = drive.current_limit_A if mode is OutputMode.CURRENT else drive.supply_V
-        pids.append(Pid(gains.kp, gains.ki, gains.kd, gains.derivative_filter_s, limit, period_s))
+        pids.append(Pid(gains, limit, period_s))
     shares = InertiaScale(arm) if OutputMode.CURRENT in modes else None
     return Servo(modes, _motors(arm), pids, MotionTorque(arm, loads), period_s, shares)
 
@@ -322,15 +318,20 @@ def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:
     return WatchLimits(joints, arm.limits.stale_s, arm.limits.watchdog_s, missed_in_row)
 
 
-def _aim_limits(drive: Drive) -> SetPointLimits:
-    """Limits of the encoder's set-point if it differs from the joint's: with the shares of scale, belt and gear offset."""
-    most = SET_POINT_MARGIN * SLOPE_MOST
+def _set_point_limits(drive: Drive, of_speed: float, of_acceleration: float) -> SetPointLimits:
+    """The joint's range, and so many times its limits of speed and acceleration."""
     return SetPointLimits(
         drive.joint_lower_rad,
         drive.joint_upper_rad,
-        (most + SHARE_OF_SPEED) * drive.joint_speed_limit_rad_s,
-        (most + SHARE_OF_ACCELERATION) * drive.joint_acceleration_limit_rad_s2,
+        of_speed * drive.joint_speed_limit_rad_s,
+        of_acceleration * drive.joint_acceleration_limit_rad_s2,
     )
+
+
+def _aim_limits(drive: Drive) -> SetPointLimits:
+    """Limits of the encoder's set-point if it differs from the joint's: with the shares of scale, belt and gear offset."""
+    most = SET_POINT_MARGIN * SLOPE_MOST
+    return _set_point_limits(drive, most + SHARE_OF_SPEED, most + SHARE_OF_ACCELERATION)
 
 
 def _homes(arm: Arm) -> list[tuple[int, JointHome]]:

@@ -7,6 +7,9 @@ Anti-windup: the integral is frozen while it would push the output further into 
 never exceeds the limits. So it recovers with the error's sign and follows narrowed limits.
 """
 
+from dataclasses import asdict
+
+from control.dynamics.gains import Gains
 from control.errors import ArmError
 
 # A finite bound: one chained comparison rejects NaN and both infinities at once.
@@ -26,14 +29,14 @@ class Pid:
 
     __slots__ = ("_blend", "_error", "_period_s", "_rate", "_step", "integral", "is_saturated", "kd", "ki", "kp", "output_limit")
 
-    def __init__(self, kp: float, ki: float, kd: float, derivative_filter_s: float, output_limit: float, period_s: float) -> None:
-        _require_sane(kp, ki, kd, derivative_filter_s, output_limit, period_s)
-        self.kp, self.ki, self.kd, self.output_limit = kp, ki, kd, output_limit
+    def __init__(self, gains: Gains, output_limit: float, period_s: float) -> None:
+        _require_sane(gains, output_limit, period_s)
+        self.kp, self.ki, self.kd, self.output_limit = gains.kp, gains.ki, gains.kd, output_limit
         self.integral = 0.0  # in units of the output: changing ki later causes no bump
         self.is_saturated = False
         self._period_s = period_s
-        self._step = ki * period_s
-        self._blend = period_s / (derivative_filter_s + period_s)
+        self._step = gains.ki * period_s
+        self._blend = period_s / (gains.derivative_filter_s + period_s)
         self._rate = 0.0
         self._error: float | None = None
 
@@ -99,10 +102,9 @@ class Pid:
         self.integral = bias if self.ki > 0.0 else 0.0
 
 
-def _require_sane(kp: float, ki: float, kd: float, derivative_filter_s: float, output_limit: float, period_s: float) -> None:
+def _require_sane(gains: Gains, output_limit: float, period_s: float) -> None:
     """Raise ArmError for the first invalid parameter."""
-    named = {"kp": kp, "ki": ki, "kd": kd, "derivative_filter_s": derivative_filter_s, "output_limit": output_limit}
-    for name, value in named.items():
+    for name, value in (*asdict(gains).items(), ("output_limit", output_limit)):
         if not 0.0 <= value < _LARGEST:
             raise ArmError(f"PID: {name} must be finite and not negative, got {value}")
     if not 0.0 < period_s < _LARGEST:

@@ -7,14 +7,13 @@ Each joint has a mode of its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
-from control.dynamics.feedforward import torque_model
+from control.dynamics.feedforward import Motor, torque_model
 from control.dynamics.loads import Loads, without_tool_mass
 from control.hardware.interface import OutputMode
 from control.model.arm import Arm
-from control.motion.setpoint import SetPoint
+from control.motion.setpoint import JointState, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import voltage_range
 
@@ -47,20 +46,6 @@ class TorqueModel(Protocol):
         motors: SetPoint | None = None,
         /,
     ) -> Sequence[float]: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Motor:
-    """One joint's motor, referred to the joint: volts and amperes per N m and rad/s."""
-
-    amperes_per_Nm: float
-    resistance_ohm: float
-    volts_per_rad_s: float
-    supply_V: float
-    current_limit_A: float
-    current_step_A: float = 0.0  # to which its board rounds the current
-    current_is_newest: bool = False  # it belongs to the last command, not to the one before that
-    slack_rad: float = 0.0  # by which it may turn while the encoder stands
 
 
 class GainShares(Protocol):
@@ -127,8 +112,7 @@ class Servo:
     def update(
         self,
         set_point: SetPoint,
-        q_rad: Sequence[float],
-        speed_rad_s: Sequence[float],
+        measured: JointState,
         knows_pose: bool,
         current_fraction: float = 1.0,
         joints: SetPoint | None = None,
@@ -139,6 +123,7 @@ class Servo:
         is that of the joints if the model distinguishes the two.
         """
         torque_Nm = self._torque_Nm(set_point, joints) if knows_pose else self._no_torque
+        q_rad, speed_rad_s = measured.q_rad, measured.speed_rad_s
         shares = self._shares(q_rad, knows_pose)
         model_A: list[float] = []
         output, commanded_V = self.output, self.volts

@@ -228,7 +228,7 @@ class MockPair:
         here, there = self.here_rad
         inverse = InverseKinematics(holding.arm)
         q_held = inverse.nearest(holding.in_base(HELD_m), here)
-        points = self.cell.beside_tip(moved, held, inverse.kinematics.tip(*q_held), _offsets())
+        points = moving.beside_tip(holding, inverse.kinematics.tip(*q_held), _offsets())
         path = plan_path(moving.arm, Waypoints(points, None), q_near_rad=there)
         if not self.go((q_held, path.q_start_rad)):
             raise CalibrationError("demo two-arms: no clear way to where the circle begins")

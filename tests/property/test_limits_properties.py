@@ -3,6 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from control.dynamics.gains import Gains
 from control.safety.limits import SetPointLimits, limit_set_point, stopping_speed
 from control.servo.pid import Pid
 
@@ -41,7 +42,7 @@ def test_braking_from_the_stopping_speed_covers_exactly_the_distance(distance, a
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-50, 50), st.floats(0.0, 24.0)), max_size=100))
 def test_the_controller_stays_in_limits_that_change_every_cycle_and_recovers_when_the_error_is_gone(history):
-    pid = Pid(3.0, 20.0, 0.1, 0.01, 24.0, T)
+    pid = Pid(Gains(3.0, 20.0, 0.1, 0.01), 24.0, T)
     for error, rate, feedforward, limit in history:
         assert -limit <= pid.update(error, rate, feedforward, -limit, limit) <= limit
     for _ in range(100):

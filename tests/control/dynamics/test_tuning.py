@@ -90,7 +90,7 @@ class Radians:
 def test_the_controller_is_that_of_the_loop(frequency_Hz: float) -> None:
     """Pid and Measurement themselves, driven by a sine, against C: amplitude and phase."""
     gains = Gains(200.0, 3000.0, 2.0, 0.001)
-    pid, measurement = Pid(gains.kp, gains.ki, gains.kd, 0.001, 1e9, T), Measurement([Radians()], [32])
+    pid, measurement = Pid(gains, 1e9, T), Measurement([Radians()], [32])
     omega = 2.0 * math.pi * frequency_Hz
     cycles = 4000
     angle, output = np.empty(cycles), np.empty(cycles)

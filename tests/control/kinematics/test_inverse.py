@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from control.errors import ArmError, BadTarget, JointLimitViolated, MissingModel, NearSingular, OutOfReach
+from control.kinematics import reach
 from control.kinematics.inverse import BRANCHES, Branch, InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.numeric_inverse import descend
@@ -314,7 +315,7 @@ def test_three_joints_of_another_structure_go_the_numeric_way() -> None:
 
 
 def test_a_singular_target_of_any_arm_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("control.kinematics.inverse.SINGULAR_MARGIN_m", 0.5)
+    monkeypatch.setattr(reach, "LOSES_A_DIRECTION", dataclasses.replace(reach.LOSES_A_DIRECTION, least=0.5))
     inverse = InverseKinematics(_serial(math.pi / 2, 0.0, 0.0))
     straight = InverseKinematics(_serial(1.0, 1.2, 0.0))
     assert inverse.has_branches

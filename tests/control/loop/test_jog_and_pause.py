@@ -153,7 +153,7 @@ def test_an_arm_that_knows_no_zero_is_jogged_with_half_of_the_current_and_slowly
         assert "home the arm first" in cell.refusal(do="jog", axis="z", by_m=0.01)
         fractions: list[float] = []
         update = cell.runtime.parts.servo.update
-        cell.runtime.parts.servo.update = lambda *a: (fractions.append(a[4]), update(*a))[1]  # type: ignore[method-assign]
+        cell.runtime.parts.servo.update = lambda *a: (fractions.append(a[3]), update(*a))[1]  # type: ignore[method-assign]
         before = cell.rig.joint_rad()
         jog(cell, 1.0, joint_speed_rad_s=[1.0, 0.0, 0.0])
         assert set(fractions[2:]) == {0.5}

@@ -7,11 +7,12 @@ from collections.abc import Callable
 
 import pytest
 
+from control.dynamics.feedforward import Motor
 from control.hardware.interface import Feedback
 from control.loop.cross_checks import CrossCheckLimits, CrossChecks, IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
 from control.loop.watch import Expectation, MeasuredLimits, Watch, WatchLimits
+from control.motion.setpoint import SetPoint
 from control.safety.fault import LOSES_ZERO, Fault, Reaction
-from control.servo.servo import Motor
 
 CYCLE_s = 0.002
 NAMES = ("joint 1", "joint 2")
@@ -65,6 +66,10 @@ def good(now_s: float = 8.0) -> Feedback:
     return feedback
 
 
+def both_at(q_rad: float, speed_rad_s: float = 0.0) -> SetPoint:
+    return SetPoint((q_rad,) * 2, (speed_rad_s,) * 2, (0.0,) * 2)
+
+
 def limits_of_watch() -> WatchLimits:
     limit = MeasuredLimits(-1.0, 2.0, 0.0625, 4.0, 0.0625, 0.125)
     return WatchLimits((limit, limit), stale_s=0.03125, silent_s=0.25, missed_in_row=10)
@@ -80,7 +85,7 @@ def looked(
     feedback = good()
     change(feedback)
     return Watch(limits_of_watch(), NAMES).look(
-        8.0, feedback, [q_rad] * 2, [speed_rad_s] * 2, [q_set_rad] * 2, [0.0] * 2, missed, Expectation(True, True, True)
+        8.0, feedback, both_at(q_rad, speed_rad_s), both_at(q_set_rad), missed, Expectation(True, True, True)
     )
 
 
@@ -119,13 +124,13 @@ def test_motions_of_all_joints_that_are_wrong_at_once_are_found_on_all() -> None
 
 
 def test_a_joint_at_its_limit_is_in_order_beside_one_beyond_it() -> None:
-    def look(q_rad: list[float], speed_rad_s: list[float]) -> list[tuple[str, str]]:
+    def look(q_rad: tuple[float, ...], speed_rad_s: tuple[float, ...]) -> list[tuple[str, str]]:
         expected = Expectation(True, True, True)
         watch = Watch(limits_of_watch(), NAMES)
-        return said(watch.look(8.0, good(), q_rad, speed_rad_s, [0.5] * 2, [0.0] * 2, 0, expected))
+        return said(watch.look(8.0, good(), SetPoint(q_rad, speed_rad_s, ()), both_at(0.5), 0, expected))
 
-    assert look([0.5, 0.5], [4.0, 4.5]) == [("overspeed", "joint 2")]
-    assert look([0.5625, 0.625], [0.0, 0.0]) == [("following_error", "joint 2")]
+    assert look((0.5, 0.5), (4.0, 4.5)) == [("overspeed", "joint 2")]
+    assert look((0.5625, 0.625), (0.0, 0.0)) == [("following_error", "joint 2")]
 
 
 class Quick(Watch):
@@ -137,13 +142,13 @@ class Quick(Watch):
 
 def test_a_cycle_in_order_needs_no_thorough_look() -> None:
     watch, expected = Quick(limits_of_watch(), NAMES), Expectation(True, True, True)
-    still = [0.5, 0.5], [0.0, 0.0], [0.5, 0.5], [0.0, 0.0]
+    still = both_at(0.5), both_at(0.5)
     assert watch.look(8.0, good(), *still, 10, expected) == []
     watch.note_pause(8.0, 0.125)
     assert watch.look(8.0, good(7.875), *still, 0, expected) == []  # the host's own pause
     for speed_set_rad_s in (2.0, -2.0):  # a joint that moves may follow further behind
-        assert watch.look(8.0, good(), [0.5] * 2, [0.0] * 2, [0.6] * 2, [speed_set_rad_s] * 2, 0, expected) == []
-    wild = [9.0, 9.0], [9.0, 9.0], [0.5, 0.5], [0.0, 0.0]
+        assert watch.look(8.0, good(), both_at(0.5), both_at(0.6, speed_set_rad_s), 0, expected) == []
+    wild = both_at(9.0, 9.0), both_at(0.5)
     assert watch.look(8.0, good(), *wild, 0, Expectation(True, True, False)) == []
     unhomed = good()
     unhomed.channel_flags = [ZERO_SET | 0x01, QUADRATURE_ERROR]

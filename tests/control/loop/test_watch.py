@@ -23,6 +23,7 @@ from control.loop.watch import (
     Watch,
     WatchLimits,
 )
+from control.motion.setpoint import SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import NotFinite
 
@@ -65,10 +66,8 @@ class Cycle:
         return (watch or Watch(LIMITS, ("joint 1", "joint 2"))).look(
             self.now_s,
             feedback,
-            self.q_rad,
-            self.speed_rad_s,
-            self.q_set_rad,
-            self.speed_set_rad_s,
+            SetPoint(tuple(self.q_rad), tuple(self.speed_rad_s), ()),
+            SetPoint(tuple(self.q_set_rad), tuple(self.speed_set_rad_s), ()),
             self.missed_in_row,
             self.expected,
         )

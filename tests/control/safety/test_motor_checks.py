@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
 
 import pytest
 
+from control.dynamics.feedforward import Motor
 from control.safety.motor_checks import SHARE, Lasting, SpeedCheck, TorqueCheck
 
 R, K, T = 0.3, 3.0, 0.002
+MOTOR = Motor(amperes_per_Nm=1.0 / K, resistance_ohm=R, volts_per_rad_s=K, supply_V=24.0, current_limit_A=8.0)
 BASE_rad_s = 0.02
 
 
@@ -17,7 +20,7 @@ def first_doubt_s(
     speed_rad_s: float = 0.0, said_rad_s: float = 0.0, current_A: float = 0.0, off_R: float = 1.0, off_K: float = 1.0
 ) -> float:
     """When a motor of R off_R and K off_K that turns at one speed while its encoder says another is doubted; inf: never."""
-    check = SpeedCheck(R, K, BASE_rad_s)
+    check = SpeedCheck(MOTOR, BASE_rad_s)
     volts = R * off_R * current_A + K * off_K * speed_rad_s
     for cycle in range(500):
         if not check.update(T, volts, current_A, said_rad_s, 0.0):
@@ -50,19 +53,19 @@ def test_an_encoder_that_says_something_else_is_doubted_in_time(speed_rad_s: flo
 
 
 def test_counts_that_stand_are_doubted_while_the_voltage_changes_in_every_cycle() -> None:
-    check = SpeedCheck(R, K, BASE_rad_s)
+    check = SpeedCheck(MOTOR, BASE_rad_s)
     answers = [check.update(T, 6.0 + 0.01 * (-1) ** cycle, 0.0, 0.0, 0.0) for cycle in range(10)]
     assert not answers[-1]
 
 
 def test_a_motor_at_rest_is_not_doubted_even_where_nothing_is_allowed() -> None:
-    check = SpeedCheck(R, K, 0.0)
+    check = SpeedCheck(MOTOR, 0.0)
     assert all(check.update(T, 0.0, 0.0, 0.0, 0.0) for _ in range(5))
     assert TorqueCheck(0.0).update(T, 0.0, 0.0)
 
 
 def test_what_is_allowed_is_said_in_the_units_of_the_joint() -> None:
-    check = SpeedCheck(R, K, BASE_rad_s)
+    check = SpeedCheck(MOTOR, BASE_rad_s)
     assert check.allowed_rad_s == pytest.approx(BASE_rad_s)
     for _ in range(1000):
         check.update(T, 2.0 * K, 0.0, 2.0, 0.0)
@@ -77,7 +80,7 @@ def test_a_difference_below_the_limit_is_none() -> None:
 
 def test_voltage_steps_of_a_busy_controller_are_not_doubted() -> None:
     source = random.Random(1)
-    check = SpeedCheck(R, K, BASE_rad_s)
+    check = SpeedCheck(MOTOR, BASE_rad_s)
     sent = [0.0, 0.0, 0.0]
     for _ in range(2000):
         sent = [*sent[1:], source.gauss(0.0, 2.0)]
@@ -87,7 +90,7 @@ def test_voltage_steps_of_a_busy_controller_are_not_doubted() -> None:
 
 def test_a_step_that_the_current_already_shows_is_not_doubted_but_a_current_that_no_command_explains_is() -> None:
     for is_newest in (True, False):
-        check = SpeedCheck(R, K, BASE_rad_s, is_newest=is_newest)
+        check = SpeedCheck(replace(MOTOR, current_is_newest=is_newest), BASE_rad_s)
         for _ in range(100):
             assert check.update(T, 0.0, 0.0, 0.0, 0.0)
         steps = [check.update(0.005, 1.3, 1.3 / R, 0.0, 0.0) for _ in range(3)]
@@ -99,12 +102,12 @@ def test_a_step_that_the_current_already_shows_is_not_doubted_but_a_current_that
 
 def test_a_board_may_round_its_current_by_half_a_step() -> None:
     for rounded_A, is_well in ((0.049, True), (0.07, False)):
-        check = SpeedCheck(4.8, 1.9, BASE_rad_s, current_step_A=0.1)
+        check = SpeedCheck(replace(MOTOR, resistance_ohm=4.8, volts_per_rad_s=1.9, current_step_A=0.1), BASE_rad_s)
         assert all(check.update(T, 4.8 * rounded_A, 0.0, 0.0, 0.0) for _ in range(500)) is is_well
 
 
 def test_a_voltage_that_is_not_known_says_nothing_and_starts_anew() -> None:
-    check = SpeedCheck(R, K, BASE_rad_s)
+    check = SpeedCheck(MOTOR, BASE_rad_s)
     for _ in range(100):
         assert check.update(T, math.nan, 5.0, 3.0, 0.0)
     answers = [check.update(T, 0.0, 0.0, 3.0, 0.0) for _ in range(10)]
@@ -113,7 +116,7 @@ def test_a_voltage_that_is_not_known_says_nothing_and_starts_anew() -> None:
 
 
 def test_a_current_that_is_already_of_the_command_after_the_last_voltage_is_not_doubted() -> None:
-    check = SpeedCheck(R, K, BASE_rad_s)
+    check = SpeedCheck(MOTOR, BASE_rad_s)
     for _ in range(100):
         assert check.update(0.01, 0.43, 0.43 / R, 0.0, 0.0)
     assert check.update(0.01, math.nan, 0.0, 0.0, 0.0)
@@ -121,7 +124,7 @@ def test_a_current_that_is_already_of_the_command_after_the_last_voltage_is_not_
 
 def test_a_board_that_sends_a_duty_cycle_is_not_doubted_when_the_supply_sags() -> None:
     for volts in (6.0, -6.0):
-        check = SpeedCheck(R, K, BASE_rad_s)
+        check = SpeedCheck(MOTOR, BASE_rad_s)
         for _ in range(500):
             assert check.update(T, volts, 0.0, 0.6 * volts / K, supply_off=0.3)
 

@@ -33,7 +33,7 @@ def led(goal: tuple[float, float, float] = GOAL) -> JointMove:
 
 
 def planned(offsets: Waypoints, goal: tuple[float, float, float] = GOAL) -> Beside:
-    return plan_beside(PAIR, "right", "left", led(goal), offsets, POSE)
+    return plan_beside(RIGHT, LEFT, led(goal), offsets, POSE)
 
 
 def at_the_start(pair: Pair) -> None:

@@ -5,6 +5,7 @@ import random
 
 import pytest
 
+from control.dynamics.gains import Gains
 from control.errors import ArmError
 from control.servo.pid import NonFiniteInput, Pid
 
@@ -12,7 +13,7 @@ PERIOD_S = 0.002
 
 
 def _pid(kp=10.0, ki=0.0, kd=0.0, derivative_filter_s=0.0, output_limit=24.0):
-    return Pid(kp, ki, kd, derivative_filter_s, output_limit, PERIOD_S)
+    return Pid(Gains(kp, ki, kd, derivative_filter_s), output_limit, PERIOD_S)
 
 
 def test_proportional_integral_and_derivative_terms_add_to_the_feed_forward():
@@ -164,13 +165,13 @@ def test_impossible_parameters_are_refused(position, bad):
     parameters = [1.0, 1.0, 1.0, 0.01, 24.0, PERIOD_S]
     parameters[position] = bad
     with pytest.raises(ArmError, match="PID"):
-        Pid(*parameters)
+        Pid(Gains(*parameters[:4]), *parameters[4:])
 
 
 def test_a_period_of_zero_is_refused_while_zero_gains_are_not():
     with pytest.raises(ArmError, match="period_s"):
-        Pid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert Pid(0.0, 0.0, 0.0, 0.0, 0.0, 1.0).update(1.0) == 0.0
+        Pid(Gains(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    assert Pid(Gains(0.0, 0.0, 0.0, 0.0), 0.0, 1.0).update(1.0) == 0.0
 
 
 def test_proportional_control_of_an_integrator_is_the_analytic_exponential():
@@ -186,7 +187,7 @@ def test_pd_control_of_a_motor_model_is_the_analytic_second_order_response():
     # q'' = 8 u, u = kp (1 - q) - kd q': wn = sqrt(8 kp), zeta = 8 kd / (2 wn).
     # The short period keeps the integration error below the tolerance.
     kp, kd = 12.5, 1.25
-    pid = Pid(kp, 0.0, kd, 0.0, 1e3, 1e-4)
+    pid = Pid(Gains(kp, 0.0, kd, 0.0), 1e3, 1e-4)
     wn = math.sqrt(8.0 * kp)
     zeta = 8.0 * kd / (2.0 * wn)
     damped = wn * math.sqrt(1.0 - zeta * zeta)
