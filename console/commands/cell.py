@@ -5,7 +5,6 @@
 
 import argparse
 import hashlib
-import select
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +18,7 @@ from calib.session.folder import PLAN, SessionFolder
 from calib.session.plan import SessionPlan, fingerprint
 from console.commands.connection import connected_arms, with_present_tool
 from console.commands.moving import described
-from console.commands.progress import shown
+from console.commands.progress import has_line, shown
 from console.options import finite
 from control.errors import ArmError
 from control.model.cell import Cell, load_cell
@@ -169,7 +168,7 @@ class _Steps:
         if limited and limited != self._said:
             sys.stderr.write(f"armwright: {limited}\n")
         self._said = limited
-        return not (sys.stdin.isatty() and select.select([sys.stdin], [], [], 0.0)[0])
+        return not has_line()
 
 
 OF_BOTH = ("seat",)  # options that both kinds of session have

@@ -2,17 +2,19 @@
 
 import argparse
 import contextlib
+import select
 import shlex
+import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from control.plain_text import aligned
 from control.server.channel import Message, RuntimeGone
-from control.server.client import ArmClient
+from control.server.client import ArmClient, RequestRefused
 
 LINES = 10  # of a job, without a terminal
 
@@ -86,33 +88,57 @@ class Bar:
             sys.stderr.flush()
 
 
+def has_line() -> bool:
+    """Whether a line was typed at the terminal; it is read."""
+    is_there = sys.stdin.isatty() and bool(select.select([sys.stdin], [], [], 0.0)[0])
+    return is_there and bool(sys.stdin.readline())
+
+
 QUIET_S = 1.0  # most commands are done by then
 QUARTERS = 4  # of a motion, without a terminal
 
 
 class Progress:
-    """Called with every `mode` answer; shows the state of the arm, or the progress of its motion."""
+    """Called with every `mode` answer; shows the state of the arm, or the progress of its motion.
 
-    def __init__(self, title: str) -> None:
+    Where somebody else has paused the motion, Enter at this terminal calls `resume`: only the client that began it may.
+    """
+
+    def __init__(self, title: str, resume: Callable[[], None] | None = None) -> None:
         self._title = title
+        self._resume = resume if sys.stdin.isatty() else None
         self._is_terminal = sys.stderr.isatty()
         self._begun_s = time.monotonic()
         self._last: object = None
-        self._is_drawn = False
+        self._is_drawn = self._is_paused = False
 
     def __call__(self, answer: Message) -> None:
+        self._look_for_enter(answer["mode"] == "PAUSED")
         passed_s = time.monotonic() - self._begun_s
         if passed_s < QUIET_S:
             return
         percent = f"{100.0 * answer['progress']:.0f} %" if answer["mode"] in ("MOVING", "PAUSED") else ""
+        if self._is_paused:
+            percent = f"paused at {percent}{', Enter resumes' if self._resume else ''}"
         step = answer["step"] or percent or str(answer["mode"]).lower()
         if self._is_terminal:
-            sys.stderr.write(f"\r\x1b[K{self._title}: {step}, {passed_s:.0f} s")
+            width = shutil.get_terminal_size().columns - 1  # a line that wraps is not erased: each redraw would add one
+            sys.stderr.write(f"\r\x1b[K{f'{self._title}: {step}, {passed_s:.0f} s'[:width]}")
             self._is_drawn = True
         elif (mark := (answer["step"], answer["mode"], int(QUARTERS * answer["progress"]))) != self._last:
             self._last = mark
             sys.stderr.write(f"{self._title}: {step}\n")
         sys.stderr.flush()
+
+    def _look_for_enter(self, is_paused: bool) -> None:
+        was_paused, self._is_paused = self._is_paused, is_paused
+        if self._resume is None or not is_paused:
+            return
+        if was_paused and has_line():
+            with contextlib.suppress(RequestRefused):  # stopped meanwhile
+                self._resume()
+        while not was_paused and has_line():  # typed before: no answer to the pause
+            pass
 
     def close(self) -> None:
         """Erase the line."""
@@ -127,7 +153,7 @@ def shown(client: ArmClient, args: argparse.Namespace, title: str = "") -> Itera
     if getattr(args, "connect", None) is not None:
         yield
         return
-    progress = Progress(title or args.command)
+    progress = Progress(title or args.command, client.resume)
     client.on_wait = progress
     try:
         yield

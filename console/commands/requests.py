@@ -1,14 +1,13 @@
 """Commands that send a single request to the runtime: each is an entry of `REQUESTS`."""
 
 import argparse
-import select
 import sys
 from collections.abc import Callable, Mapping
 
 from console.commands.connection import listening
-from console.commands.progress import shown
+from console.commands.progress import has_line, shown
 from control.errors import ArmError
-from control.server.client import ArmClient
+from control.server.client import ArmClient, ArmFaulted, fault_text
 
 # Sends the request and waits until it is done; returns a message for the operator.
 Request = Callable[[ArmClient, argparse.Namespace], str | None]
@@ -59,11 +58,13 @@ def _guide(client: ArmClient, args: argparse.Namespace) -> str | None:
     hint = "Enter holds the arm where it is; " if sys.stdin.isatty() else ""
     sys.stderr.write(f"guided by hand: {hint}`armwright hold` or `stop` from elsewhere; Ctrl-C brakes\n")
     while client.ask("mode")["mode"] == "GUIDING":
-        if sys.stdin.isatty() and _has_line():
+        if has_line():
             client.hold()
             return "holding"
         client.wait(GUIDING_POLL_S)
-    return f"hand-guiding has ended: {client.ask('mode')['mode']}"
+    if (status := client.status())["mode"] == "FAULT":
+        raise ArmFaulted(fault_text(status))
+    return f"hand-guiding has ended: {status['mode']}"
 
 
 def _off(client: ArmClient, args: argparse.Namespace) -> None:
@@ -73,12 +74,6 @@ def _off(client: ArmClient, args: argparse.Namespace) -> None:
     if is_held:
         _require_consent(args, RELEASES)
     client.off(args.quit, lets_go=is_held)
-
-
-def _has_line() -> bool:
-    """Whether a line was typed; it is read."""
-    is_there = bool(select.select([sys.stdin], [], [], 0.0)[0])
-    return is_there and bool(sys.stdin.readline())
 
 
 REQUESTS: Mapping[str, Request] = {

@@ -375,6 +375,10 @@ _GOING_ON = TRAVELLING_MODES | {Mode.GUIDING}
 _IN_WORDS = {
     Mode.JOGGING: "another client jogs the arm (client {client}): wait until it ends, or stop it (`armwright stop`)",
     Mode.GUIDING: "client {client} has the arm guided by hand: `armwright hold` or `armwright stop` ends that",
+    Mode.PAUSED: (
+        "client {client} has control, and its motion is paused: resume it where it was started (Enter), or stop it"
+        " (`armwright stop`)"
+    ),
 }
 _MOVES = "client {client} has control, and the arm is {mode}: wait until it has ended, or stop it (`armwright stop`)"
 _TAKEN = (

@@ -59,7 +59,7 @@ def test_guide_lets_the_arm_go_where_it_is_confirmed_until_a_line_is_typed(
     monkeypatch.setattr(sys, "stderr", Typed())
     modes: list[str] = []
     cell.watchers.append(lambda: modes.append(cell.mode.name))
-    monkeypatch.setattr(requests.select, "select", lambda *_: ([sys.stdin] if len(modes) > 50 else [], [], []))
+    monkeypatch.setattr(waiting.select, "select", lambda *_: ([sys.stdin] if len(modes) > 50 else [], [], []))
     assert main(["guide"]) == 0
     assert "GUIDING" in modes
     assert client.status()["mode"] == "HOLDING"
@@ -98,6 +98,21 @@ def test_off_asks_before_boards_let_an_arm_go_that_they_held(
         assert main(["off", "--yes"]) == 0
         cell.run(0.3)
         assert (cell.mode, cell.torques()) == (Mode.OFF, [False] * 3)
+
+
+def test_guide_that_a_fault_ends_has_status_1_and_says_why(
+    client: ArmClient, cell: Cell, capsys: pytest.CaptureFixture[str]
+) -> None:
+    modes: list[str] = []
+
+    def fail_later() -> None:
+        modes.append(cell.mode.name)
+        if modes.count("GUIDING") == 50:
+            cell.inject("silent", "encoder")
+
+    cell.watchers.append(fail_later)
+    assert main(["guide", "--yes"]) == 1
+    assert "the arm is in FAULT" in capsys.readouterr().err
 
 
 def test_enable_and_home_say_that_there_was_nothing_to_do(client: ArmClient, capsys: pytest.CaptureFixture[str]) -> None:
@@ -144,6 +159,42 @@ def test_waiting_redraws_one_line_on_a_terminal_and_takes_it_away(monkeypatch: p
     assert "\n" not in drawn
     assert drawn.count("\r\x1b[K") == len(answers()) + 1
     assert drawn.endswith("\r\x1b[K")
+
+
+def test_what_waiting_shows_never_wraps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrapped line is not erased: each redraw would scroll the terminal."""
+    terminal = Typed()
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr(waiting, "QUIET_S", 0.0)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    waiting.Progress("home")({"mode": "HOMING", "progress": 0.0, "step": "joint 1 (1 of 4): backing off its switch once more"})
+    assert len(terminal.getvalue().removeprefix("\r\x1b[K")) == 39
+
+
+def test_enter_resumes_a_motion_that_another_client_paused_and_what_was_typed_before_does_not(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed, terminal, paused = ["typed ahead"], Typed(), 0
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(sys, "stdin", Typed())
+    monkeypatch.setattr(waiting, "QUIET_S", 0.0)
+    monkeypatch.setattr(waiting, "has_line", lambda: bool(typed and typed.pop()))
+
+    def watch() -> None:
+        nonlocal paused
+        if cell.mode is Mode.MOVING and not paused and cell.client.ask("mode")["progress"] > 0.3:
+            assert handled(cell, {"do": "pause"}, 9)["ok"]
+        paused += cell.mode is Mode.PAUSED
+        if paused == 500:
+            assert "(Enter)" in handled(cell, {"do": "resume"}, 9)["error"]
+            typed.append("Enter")
+
+    cell.watchers.append(watch)
+    with waiting.shown(cell.client, argparse.Namespace(command="move")):
+        cell.client.move_joints((0.4, -0.4, 0.6), 0.5)
+    assert paused >= 500
+    assert "Enter resumes" in terminal.getvalue()
+    assert cell.mode is Mode.HOLDING
 
 
 def test_a_script_s_line_shows_no_progress(cell: Cell) -> None:
