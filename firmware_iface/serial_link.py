@@ -160,7 +160,7 @@ class _PosixByteLink:
                 raise self._lost(problem) from None
 
     def _lost(self, problem: object) -> LinkLost:
-        return LinkLost(f"serial port {self.name}: lost: {problem}; check the cable")
+        return LinkLost(f"serial port {self.name}: lost: {problem}")
 
     def close(self) -> None:
         self._fd = -1  # the descriptor may be reused
@@ -214,7 +214,7 @@ class _PyserialByteLink:
             raise self._lost(problem) from None
 
     def _lost(self, problem: object) -> LinkLost:
-        return LinkLost(f"serial port {self.name}: lost: {problem}; check the cable")
+        return LinkLost(f"serial port {self.name}: lost: {problem}")
 
     def close(self) -> None:
         self._port.close()

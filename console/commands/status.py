@@ -10,11 +10,11 @@ from console.commands.end_effector import gripper_text, pin_text
 from console.commands.progress import answer
 from control.errors import ArmError
 from control.model.description import load_arm
-from control.plain_text import aligned
+from control.plain_text import aligned, listed
 from control.recording.recorder_state import RecorderState
 from control.server.channel import Message
 
-STALE = " *"
+STALE = "*"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,8 +47,9 @@ def described(status: Message) -> str:
         *_cell_line(status),
         "",
         aligned(_joint_rows(status)),
+        _drive_line(status),
         "",
-        *stale_lines(status),
+        *_stale_lines(status),
         *_tip_lines(status),
         *_end_lines(status),
         f"loop: {1e3 * status['period_s']:g} ms, p99 {1e6 * status['late_p99_s']:.0f} us late,"
@@ -72,22 +73,30 @@ def _cell_line(status: Message) -> list[str]:
 
 
 def _joint_rows(status: Message) -> list[tuple[str, ...]]:
+    """Two lines of headings, then a line a joint: as wide for seven joints as for two."""
     encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
-    joints = range(1, len(encoder) + 1)
-    degrees = [math.degrees(q) for q in status["q_rad"]]
-    error_mrad = [1e3 * error for error in status["following_error_rad"]]
-    return [
-        ("joint", *map(str, joints)),
-        ("angle [rad]", *_marked(_numbers(status["q_rad"], 4), encoder)),
-        ("angle [deg]", *_marked(_numbers(degrees, 2), encoder)),
-        ("set-point [rad]", *_numbers(status["q_set_rad"], 4)),
-        ("following error [mrad]", *_marked(_numbers(error_mrad, 2), encoder)),
-        ("count", *_marked([str(count) for count in status["count"]], encoder)),
-        ("current [A]", *_marked(_numbers(status["current_A"], 2), drive)),
-        ("supply [V]", *_marked(_numbers(status["supply_V"], 1), drive)),
-        ("temperature [°C]", *_marked(_numbers(status["temperature_C"], 0), drive)),
-        ("drive", *_marked(status["drive_state"], drive)),
+    columns = [
+        ("joint", "", [str(joint) for joint in range(1, len(encoder) + 1)]),
+        ("angle", "rad", _marked(_numbers(status["q_rad"], 4), encoder)),
+        ("", "deg", _marked(_numbers([math.degrees(q) for q in status["q_rad"]], 2), encoder)),
+        ("set-point", "rad", _numbers(status["q_set_rad"], 4)),
+        ("error", "mrad", _marked(_numbers([1e3 * error for error in status["following_error_rad"]], 2), encoder)),
+        ("count", "", _marked([str(count) for count in status["count"]], encoder)),
+        ("current", "A", _marked(_numbers(status["current_A"], 2), drive)),
+        ("supply", "V", _marked(_numbers(status["supply_V"], 1), drive)),
+        ("", "°C", _marked(_numbers(status["temperature_C"], 0), drive)),
     ]
+    return list(zip(*((name, unit, *cells) for name, unit, cells in columns), strict=True))
+
+
+def _drive_line(status: Message) -> str:
+    """The state of the drives, said once where joints share it."""
+    states: dict[str, list[str]] = {}
+    for joint, state in enumerate(_marked(status["drive_state"], status["drive_stale_s"]), 1):
+        states.setdefault(state, []).append(str(joint))
+    if len(states) == 1:
+        return f"drives: {next(iter(states))}"
+    return "drives: " + "; ".join(f"{', '.join(joints)} {state}" for state, joints in states.items())
 
 
 def _tip_lines(status: Message) -> list[str]:
@@ -115,13 +124,17 @@ def _recording(recorder: RecorderState) -> str:
     return f"{is_on}: {recorder.file}, {1e-6 * recorder.written_bytes:.1f} MB written, {recorder.usage()}"
 
 
-def stale_lines(status: Message) -> list[str]:
-    """Explain the stale marks: which board is silent, and for how long."""
+def _stale_lines(status: Message) -> list[str]:
+    """Explain the stale marks: which boards are silent, and for how long."""
+    silent: dict[tuple[str, str], list[str]] = {}
+    for board, ages_s in (("encoder", status["encoder_stale_s"]), ("motor", status["drive_stale_s"])):
+        for joint, age_s in enumerate(ages_s, 1):
+            if age_s is not None:
+                silent.setdefault((board, f"{age_s:.1f}"), []).append(str(joint))
     return [
-        f"{STALE.strip()} joint {joint}: no report from its {board} board for {age_s:.1f} s; these are the last values"
-        for board, ages_s in (("encoder", status["encoder_stale_s"]), ("motor", status["drive_stale_s"]))
-        for joint, age_s in enumerate(ages_s, 1)
-        if age_s is not None
+        f"{STALE.strip()} joint{'s' * (len(joints) > 1)} {listed(joints)}: no report from {'their' if len(joints) > 1 else 'its'}"
+        f" {board} board{'s' * (len(joints) > 1)} for {age} s; these are the last values"
+        for (board, age), joints in silent.items()
     ]
 
 

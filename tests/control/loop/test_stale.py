@@ -33,6 +33,19 @@ def test_a_silent_motor_board_marks_the_values_of_its_joint_alone_with_their_age
     assert "J2?" in marked[0]
 
 
+def test_the_status_of_seven_joints_fits_80_columns_and_says_once_what_joints_share(cell: Cell) -> None:
+    cell.inject("silent", "motor2")
+    cell.run(1.0)
+    status = {**cell.client.status(), "arm": "right", "warnings": [], "faults": []}
+    for key, values in status.items():
+        if isinstance(values, list) and len(values) == 3 and key not in ("tip_m", "camera_m"):
+            status[key] = [*values, *values, values[0]]
+    page = described(status)
+    assert max(map(len, page.partition("\n*")[0].splitlines())) <= 80
+    assert "* joints 2 and 5: no report from their motor boards for 1.0 s; these are the last values" in page
+    assert "drives: 1, 3, 4, 6, 7 OPERATION ENABLED; 2, 5 OPERATION ENABLED*" in page
+
+
 def test_a_silent_encoder_board_marks_the_angles_also_while_the_drives_are_off() -> None:
     with open_cell() as cell:
         cell.inject("silent", "encoder")
