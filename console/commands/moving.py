@@ -155,7 +155,7 @@ def _waits(args: argparse.Namespace) -> bool:
 
 def described(path: PlannedPath) -> str:
     """The plan as text."""
-    angles = ", ".join(f"{q:.4f}" for q in path.q_start_rad)
+    angles = ", ".join(f"{q:z.4f}" for q in path.q_start_rad)
     branch = f", {path.branch}" if path.branch else ""
     lines = [
         f"{len(path.q_waypoints_rad)} way-points in {path.duration_s:.2f} s{branch}; begins at {angles} rad",

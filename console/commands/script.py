@@ -93,7 +93,7 @@ def _planned(args: argparse.Namespace, arm: Arm) -> Replay:
     guided = guided_motion(Path(args.file), arm, args.run)
     planned = replayed(guided, arm, args.speed)
     slowed = f", {planned.slowdown:.2f} times as long because of {planned.limit}" if planned.limit else ""
-    angles = ", ".join(f"{q:.4f}" for q in planned.path.knots[0].q_rad)
+    angles = ", ".join(f"{q:z.4f}" for q in planned.path.knots[0].q_rad)
     sys.stdout.write(
         f"run {guided.run}: guided for {guided.times_s[-1]:.2f} s; the motion takes {planned.path.duration_s:.2f} s{slowed};"
         f" begins at {angles} rad\n"

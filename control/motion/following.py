@@ -287,13 +287,16 @@ class PostureFollower:
 
     def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
         """Solutions at the first way-point, the one from `q_near` first."""
+        yield from map(PathStart, self._at(1, q_near))
+
+    def _at(self, number: int, q_near: Sequence[float]) -> Iterator[Pose]:
+        """Solutions at way-point `number` (1-based), the one from `q_near` first. PathError names it if there is none."""
+        turned = self._waypoints.orientations
+        wanted = TipPose.of(self._waypoints.points[number - 1], None if turned is None else turned[number - 1])
         try:
-            turned = self._waypoints.orientations
-            first = TipPose.of(self._waypoints.points[0], None if turned is None else turned[0])
-            for q in self._inverse.solutions(first, q_near):
-                yield PathStart(q)
+            yield from self._inverse.solutions(wanted, q_near)
         except ArmError as problem:
-            raise PathError(f"{self._waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
+            raise PathError(f"{self._waypoints.name(number)}: {problem}; nothing was moved", number) from problem
 
     def check(self, start: PathStart) -> None:
         """Nothing: following the path finds what cannot be reached."""
@@ -356,6 +359,7 @@ class PostureFollower:
             solved = self._rule.next(pose_inverse.Targets(np.array([position]), rotation), poses[-1])
             travel_rad = float(np.abs(solved.q_rad - poses[-1]).max())
             if travel_rad > JUMP_RAD or not solved.is_solved[0]:
+                next(self._at(section + 2, poses[-1][0].tolist()))  # raises where the way-point itself cannot be taken
                 problem = self._lost(position, solved, travel_rad)
                 raise checks.Passage(self._waypoints, spline.times_s).error(time_s, problem)
             poses.append(solved.q_rad)

@@ -58,7 +58,7 @@ class Slowdown:
     limit: str
 
     def __str__(self) -> str:
-        return f"slowed {self.factor:.2f} times at way-point {self.waypoint}: {self.limit}"
+        return f"{self.factor:.2f} times as long as asked at way-point {self.waypoint}: {self.limit}"
 
 
 @dataclass(frozen=True, slots=True)

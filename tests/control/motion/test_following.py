@@ -169,6 +169,14 @@ def test_every_arm_says_what_is_out_of_its_reach(name: str) -> None:
         plan_path(ARMS[name], [(3.0, 0.0, 0.3), (3.0, 0.1, 0.3)], 0.1)
 
 
+@pytest.mark.parametrize("arm", [FOUR, FIVE, SIX, SEVEN], ids=lambda arm: arm.name)
+def test_a_way_point_out_of_reach_is_named_itself_and_not_where_the_path_leaves_the_reach(arm: Arm) -> None:
+    first = circle_in_place(arm).points[0]
+    with pytest.raises(PathError, match=r"^way-point 2: .*\(3\.0000, 0\.0000, 0\.3000\) m is out of reach") as caught:
+        plan_path(arm, [first, (3.0, 0.0, 0.3), first], 0.1)
+    assert caught.value.waypoint == 2
+
+
 # ---- orientations
 
 

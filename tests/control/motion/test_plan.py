@@ -112,7 +112,7 @@ def test_a_slowdown_says_how_much_where_and_which_limit():
     planned = plan_path(ARM, [(0.4, -0.25, 0.1), (0.42, 0.0, 0.1), (0.4, 0.25, 0.1)], 0.9)
     assert planned.slowdowns
     assert all(slow.factor > 1.0 and 1 <= slow.waypoint <= 3 for slow in planned.slowdowns)
-    assert str(Slowdown(1.4, 7, "joint 2 speed")) == "slowed 1.40 times at way-point 7: joint 2 speed"
+    assert str(Slowdown(1.4, 7, "joint 2 speed")) == "1.40 times as long as asked at way-point 7: joint 2 speed"
 
 
 def test_the_tip_speed_limit_is_kept_and_named():
