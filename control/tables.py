@@ -238,6 +238,9 @@ class TableContent:
     def _require_columns(self, declared: "dict[str, TableColumn]") -> None:
         """The header has each required column, whole groups, and nothing twice or of no joint."""
         require_commas(self.names, self._bad_header, self.form.separated)
+        if self.names and all(map(_is_number, self.names)):
+            needed = ", ".join(_named(column.name) for column in self.form.columns if column.is_required)
+            raise self._bad_header(f"expected a header with the names of the columns ({needed}), got numbers")
         matters = self.names if self.form.unknown != "ignored" else [n for n in self.names if n in declared]
         for name in matters:
             if self.names.count(name) > 1:
@@ -374,6 +377,14 @@ class TableContent:
                 if is_wrong.any():
                     row, k = (int(at) for at in np.argwhere(is_wrong.T)[0])
                     raise self._bad(lines[row], names[k], cells[names[k]][row], f"a number, since {since}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def require_commas(header: Sequence[str], wrong: Wrong, remedy: str = "") -> None:

@@ -6,6 +6,7 @@ What header and cells tell is taken and said; what they do not tell is `Unclear`
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 import re
 from collections import Counter
@@ -49,23 +50,25 @@ class Unclear(PointsFileError):
     """The table does not tell this: the option that answers it, and what it may be."""
 
     def __init__(self, what: str, option: str, key: str, choices: Sequence[str]) -> None:
-        super().__init__(f"{what}: answer with {option} {key}{', one of ' + ', '.join(choices) if choices else ''}")
+        super().__init__(f"{what}: answer with {option} {key}NAME; NAME is one of {', '.join(choices)}")
         self.question, self.option, self.key, self.choices = what, option, key, choices
 
 
 @dataclass(frozen=True, slots=True)
 class Spreadsheet:
-    """A table as text, and how it was read."""
+    """A table as text, with the line of each row in the file, and how it was read."""
 
     path: Path
     names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
     about: str
     has_decimal_commas: bool
 
     def numbers(self, name: str) -> list[float]:
         """A column as numbers; PointsFileError names line and column."""
-        return [self._number(row[self.names.index(name)], line, name) for line, row in enumerate(self.rows, 2)]
+        at = self.names.index(name)
+        return [self._number(row[at], line, name) for line, row in zip(self.lines, self.rows, strict=True)]
 
     def _number(self, cell: str, line: int, name: str) -> float:
         text = cell.translate({ord(","): ".", ord("."): ","}) if self.has_decimal_commas else cell
@@ -79,7 +82,8 @@ class Spreadsheet:
         """A column of names, none of them empty; PointsFileError names line and column."""
         cells = [row[self.names.index(name)] for row in self.rows]
         if "" in cells:
-            raise PointsFileError(f"{self.path}, line {cells.index('') + 2}, column {name}: got an empty cell, expected a name")
+            line = self.lines[cells.index("")]
+            raise PointsFileError(f"{self.path}, line {line}, column {name}: got an empty cell, expected a name")
         return cells
 
 
@@ -92,28 +96,33 @@ class Understood:
 
 
 def read_sheet(path: Path) -> Spreadsheet:
-    """The header and the rows of a table. PointsFileError if it is none."""
+    """The header, the first line of several filled cells, and the rows of a table. PointsFileError if it is none."""
     content = read_bytes(path)
     try:
         text, encoding = content.decode("utf-8-sig"), "UTF-8"
     except UnicodeDecodeError:
         text, encoding = content.decode("cp1252", errors="replace"), "Latin-1 (Windows 1252)"
     lines = text.splitlines()
-    separator = max(SEPARATORS, key=lambda mark: (lines[0].count(mark) if lines else 0, mark != ","))
+    separated = next((line for line in lines if any(mark in line for mark in SEPARATORS)), "")
+    separator = max(SEPARATORS, key=lambda mark: (separated.count(mark), mark != ","))
+    reader = csv.reader(lines, delimiter=separator)
     try:
-        read = list(csv.reader(lines, delimiter=separator))
+        read = [(reader.line_num, tuple(cell.strip() for cell in row)) for row in reader]
     except csv.Error as error:
         raise PointsFileError(f"{path}: no table ({error})") from None
-    rows = [tuple(cell.strip() for cell in row) for row in read if any(row)]
-    if len(rows) < 2 or len(rows[0]) < 2:
+    under_titles = itertools.dropwhile(lambda numbered: sum(map(bool, numbered[1])) < 2, read)
+    table = [(line, row) for line, row in under_titles if any(row)]
+    if len(table) < 2:
         raise PointsFileError(f"{path}: expected a header line and rows of several columns")
-    for line, row in enumerate(rows, 1):
-        if len(row) != len(rows[0]):
-            raise PointsFileError(f"{path}, line {line}: {len(row)} values, line 1 names {len(rows[0])}")
-    commas = separator != "," and any(re.fullmatch(r"[-+]?\d*,\d+(e[-+]?\d+)?", cell) for row in rows[1:] for cell in row)
+    (head, names), *below = table
+    for line, row in below:
+        if len(row) != len(names):
+            raise PointsFileError(f"{path}, line {line}: {len(row)} values, line {head} names {len(names)}")
+    numbers, rows = zip(*below, strict=True)
+    commas = separator != "," and any(re.fullmatch(r"[-+]?\d*,\d+(e[-+]?\d+)?", cell) for row in rows for cell in row)
     mark = "decimal commas" if commas else "decimal points"
-    about = f"{path}: {encoding}, separated by {SEPARATORS[separator]}, {mark}, {len(rows) - 1} rows"
-    return Spreadsheet(path, rows[0], tuple(rows[1:]), about, commas)
+    about = f"{path}: {encoding}, separated by {SEPARATORS[separator]}, {mark}, {len(rows)} rows"
+    return Spreadsheet(path, names, rows, numbers, about, commas)
 
 
 def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None) -> Understood:
@@ -166,7 +175,9 @@ def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, s
         return matches[0]
     if not matches and ours in OPTIONAL:
         return None
-    raise Unclear(f"{sheet.path}: which column is {ours}", "--columns", f"{ours}=", matches or sheet.names)
+    raise Unclear(
+        f"{sheet.path}: which column is {ours}", "--columns", f"{ours}=", matches or [name for name in sheet.names if name]
+    )
 
 
 def _unit(

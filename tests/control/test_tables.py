@@ -148,6 +148,7 @@ def test_a_declared_table_comes_by_its_columns_in_any_order_with_the_lines_of_it
         ("name,q1_deg\n", "line 1: required column q1_rad is missing, got q1_deg: write radians (column q1_rad)"),
         ("name;q1_rad;x_m\n", "line 1: the columns are separated by semicolons, expected commas"),
         ("name,q1_rad,name\n", "line 1: column name appears twice"),
+        ("0.3,0,0.3\n", "line 1: expected a header with the names of the columns (`name`, `q1_rad` … `qn_rad`), got numbers"),
         ("name,q1_rad,q3_rad\n", "line 1: required column q2_rad is missing, got name, q1_rad, q3_rad"),
         ("name,q1_rad,x_m\n", "line 1: column y_m is missing beside x_m"),
         ("name,q1_rad,mass_kg\n", "line 1: columns x_m, y_m are missing beside mass_kg"),

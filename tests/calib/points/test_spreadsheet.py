@@ -44,6 +44,14 @@ def test_semicolons_decimal_commas_latin_1_degrees_and_millimetres_are_read(tmp_
     assert (points.point, points.repeat) == (("a", "a"), (1, 2))
 
 
+def test_titles_above_the_header_are_passed_and_lines_are_counted_as_in_the_file(tmp_path: Path) -> None:
+    titles = "Messprotokoll;;;;;;;\nDatum: 12.11.2026;;;;;;;\n\n"
+    row = "a;180,0;-90;0,5;1,5;250;-1e2;\n"
+    assert points_of(tmp_path / "t.csv", titles + GERMAN + row).point == ("a",)
+    with pytest.raises(PointsFileError, match="line 7, column Achse 1"):
+        points_of(tmp_path / "t.csv", titles + GERMAN + row + ";;;;;;;\n" + row.replace("180,0", "?"))
+
+
 def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> None:
     points = points_of(tmp_path / "t.csv", "q1_rad,q2_rad,q3_rad,tip x (m),tip y (m),tip z (m)\n1,2,3,0.1,0.2,0.3\n")
     np.testing.assert_allclose(points.q_rad, [[1.0, 2.0, 3.0]])
