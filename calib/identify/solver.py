@@ -236,9 +236,8 @@ def _against_noise(sample: PoseSample, prior: Prior, sd: Array, x: Array, noise:
         before, assumed, left_before, left = assumed, math.log(variance_m2), left, math.log(noise.variance_m2)
         if assumed != before and math.isfinite(before):
             slope = min((left - left_before) / (assumed - before), STEEPEST)
-        step = (left - assumed) / (1.0 - slope)
-        settling.takes(abs(step), SETTLED)
-        variance_m2 = math.exp(assumed + step)
+        settling.takes(abs(left - assumed), SETTLED)
+        variance_m2 = math.exp(assumed + (left - assumed) / (1.0 - slope))
     return prior, evidence
 
 
