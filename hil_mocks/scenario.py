@@ -5,15 +5,17 @@ Strict: an unknown key, a wrong type or a non-finite number is an error that nam
 
 from __future__ import annotations
 
+import math
 import random
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 
-from control.files import read_text
+from control.files import parsed_toml, read_text
 from control.model.reference import NOT_A_KEY
-from control.strict_toml import converted
 from hil_mocks.errors import ScenarioError
 
 SHIPPED = Path(__file__).parent / "scenarios"
@@ -186,4 +188,39 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
 
 def parse_scenario(text: str, where: str) -> Scenario:
     """Scenario from TOML text; `where` names it in errors."""
-    return converted(text, Scenario, lambda what: ScenarioError(f"scenario {where}: {what}."), path=where)
+
+    def refused(what: str) -> ScenarioError:
+        return ScenarioError(f"scenario {where}: {what}.")
+
+    try:
+        document = parsed_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        raise refused(f"not valid TOML: {error}") from error
+    for key, value in _not_finite(document, ""):
+        raise refused(f"{key} must be finite, got {value}")
+    if "path" in document:
+        raise refused('unknown key "path"')
+    try:
+        return msgspec.convert({**document, "path": where}, Scenario)
+    except msgspec.ValidationError as error:
+        raise refused(_in_terms_of_toml(str(error))) from error
+
+
+def _not_finite(value: object, key: str) -> Iterator[tuple[str, float]]:
+    if isinstance(value, float) and not math.isfinite(value):
+        yield key.lstrip("."), value
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _not_finite(inner, f"{key}.{name}")
+    if isinstance(value, list):
+        for i, inner in enumerate(value):
+            yield from _not_finite(inner, f"{key}[{i}]")
+
+
+def _in_terms_of_toml(message: str) -> str:
+    """Msgspec's `Object contains unknown field `x` - at `$.camera``."""
+    what, _, at = message.partition(" - at ")
+    what = what.replace("Object contains unknown field", "unknown key").replace("Object missing required field", "missing key")
+    what = what.replace("`object | null`", "a table").replace("`object`", "a table")
+    place = at.strip("`").removeprefix("$").lstrip(".")
+    return f"[{place}] {what}" if place else what

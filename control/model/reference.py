@@ -1,6 +1,6 @@
 """Every key of a TOML file as text, from the definitions that its reader obeys: `armwright arm --keys`.
 
-In: the dataclass (`control.model.reader`) or msgspec Struct (`control.strict_toml`) of the file, whose annotations hold what a
+In: the dataclass (`control.model.reader`) or msgspec Struct (`hil_mocks.scenario`) of the file, whose annotations hold what a
 key says. Out: its tables, each with its keys.
 """
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import mujoco
 
 from hil_mocks.errors import UnreachableError
-from hil_mocks.plant.build import PlantModel
+from hil_mocks.plant.build import PlantModel, PlantOptions
 from hil_mocks.plant.effects import BasePose
 
 Point = tuple[float, float, float]
@@ -20,14 +20,14 @@ _CANNOT_M = 1e-3
 
 
 class Hand:
-    """A mocap body that a connect constraint ties to the tip. Moves once a tick, never faster than `speed_m_s`."""
+    """A mocap body that a connect constraint ties to the tip. Moves once a tick, never faster than `hand_speed_m_s`."""
 
-    def __init__(self, at: PlantModel, state: Any, speed_m_s: float, noise_m: float, seed: int, base_pose: BasePose) -> None:
+    def __init__(self, at: PlantModel, state: Any, options: PlantOptions, base_pose: BasePose) -> None:
         self._base_pose, self._standing = base_pose, at.standing
         self._data, self._tip_site, self._grip, self._mocap = state, at.tip_site, at.grip, at.mocap
         self._model = at.model
-        self._speed_m_s, self._noise_m = speed_m_s, noise_m
-        self._random = random.Random(f"hand {seed}")
+        self._speed_m_s, self._noise_m = options.hand_speed_m_s, options.seating_noise_m
+        self._random = random.Random(f"hand {options.seed}")
         self._start: Point = (0.0, 0.0, 0.0)
         self._target: Point = (0.0, 0.0, 0.0)
         self._begun_s = self._duration_s = 0.0

@@ -52,9 +52,7 @@ class Plant:
         self._pose(arm, start_rad)
         self._bend()
         self.bridges = Bridges(self._model, self._data, windings_of(arm, effects), self._at.bridge, effects.supply_resistance_ohm)
-        self.hand = Hand(
-            self._at, self._data, options.hand_speed_m_s, options.seating_noise_m, options.seed, self.effects.base_pose
-        )
+        self.hand = Hand(self._at, self._data, options, self.effects.base_pose)
         self._steps = 0
         self._free_damping = [float(damping) for damping in self._model.dof_damping]
         self._steadying = [0.0] * len(self._free_damping)  # N m s/rad, by the hand
