@@ -49,7 +49,7 @@ class Desk:
         self.operator = ScreenOperator(self.link, grammar, words, self.say, files.lines)
         self.jogger = Jogger(arm, self.operator, self.say)
         dashboard = Dashboard(arm, self.operator, self.jogger)
-        self.operating = OperatingScreen(dashboard, self.operator, self.jogger, files, open_session, has_others=others > 0)
+        self.operating = OperatingScreen(dashboard, files, open_session, has_others=others > 0)
 
     def say(self, text: str, is_error: bool = False) -> None:
         """Write a line to the log."""

@@ -150,7 +150,7 @@ class Dashboard:
     def __init__(self, arm: Arm, operator: ScreenOperator, jogger: Jogger) -> None:
         self.override = 1.0
         self.in_degrees = shows_degrees()
-        self._arm, self._operator, self._jogger = arm, operator, jogger
+        self._arm, self.operator, self.jogger = arm, operator, jogger
         self._link: RuntimeLink = operator.link
         self._skeleton = drawing.Skeleton(arm)
         self._history = drawing.History()
@@ -203,7 +203,7 @@ class Dashboard:
         return True
 
     def _texts(self, status: Status | None, room: PanelSize) -> Iterator[Drawn]:
-        arm, selected, why_lost = self._arm, self._jogger.selected.name, self._link.why_lost
+        arm, selected, why_lost = self._arm, self.jogger.selected.name, self._link.why_lost
         yield "head", [texts.headline(status, arm, why_lost, room("head")[0], drawing.clock())]
         yield "status", texts.status_rows(status, why_lost, room("status")[0])
         if status is not None:
@@ -213,14 +213,14 @@ class Dashboard:
         yield "jog", [self._jog_row()]
 
     def _jog_row(self) -> drawing.Row:
-        command = self._operator.running.partition(" ")[0]
+        command = self.operator.running.partition(" ")[0]
         running = drawing.row(("  running: ", "muted"), command) if command else ()
-        return (*self._jogger.describe(), *drawing.row(("  override ", "muted"), f"{100 * self.override:g} %"), *running)
+        return (*self.jogger.describe(), *drawing.row(("  override ", "muted"), f"{100 * self.override:g} %"), *running)
 
     def _views(self, status: Status, room: PanelSize) -> Iterator[Drawn]:
         is_stale = [age is not None for age in texts.stale_s(status)]
         pose = [round(q / STILL_rad) for q in status["joint_rad"]] if status["is_homed"] else []
-        selected = self._jogger.selected.joint
+        selected = self.jogger.selected.joint
         view = (pose, is_stale, selected, room("side"), room("top"))
         if view == self._view:
             return
@@ -236,7 +236,7 @@ class Dashboard:
     def _drawn_plots(self, room: PanelSize) -> Iterator[Drawn]:
         for name, (series, plot) in self._plots.items():
             if room(name)[0]:
-                yield (name, drawing.plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name)))
+                yield (name, drawing.plot_rows(plot(series, (self.jogger.selected.joint or 1) - 1), *room(name)))
 
 
 def _plot(signs: Sequence[str], least: float, is_signed: bool, series: drawing.BinnedSeries, chosen: int) -> drawing.Plot:

@@ -85,6 +85,7 @@ def wrapped(text: str, look: str, width: int, sign: str = "") -> list[Row]:
 
 _BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _EMPTY = 0x2800
+Dot = tuple[int, int]
 
 
 class Canvas:
@@ -103,20 +104,22 @@ class Canvas:
             self._cells[y // 4][x // 2] |= _BITS[y % 4][x % 2]
             self._looks[y // 4][x // 2] = look
 
-    def line(self, x0: int, y0: int, x1: int, y1: int, look: str = "plain", every: int = 1) -> None:
+    def line(self, start: Dot, end: Dot, look: str = "plain", every: int = 1) -> None:
         """Draw a straight line, dotted if `every` is more than 1."""
+        (x0, y0), (x1, y1) = start, end
         steps = max(abs(x1 - x0), abs(y1 - y0), 1)
         if steps > 4 * (self.width + self.height):
             return
         for step in range(0, steps + 1, every):
             self.dot(round(x0 + (x1 - x0) * step / steps), round(y0 + (y1 - y0) * step / steps), look)
 
-    def stroke(self, x0: int, y0: int, x1: int, y1: int, look: str = "plain", half: int = 1) -> None:
+    def stroke(self, start: Dot, end: Dot, look: str = "plain", half: int = 1) -> None:
         """Draw a line of thickness 2 `half` + 1 dots."""
+        (x0, y0), (x1, y1) = start, end
         is_steep = abs(y1 - y0) > abs(x1 - x0)
         for offset in range(-half, half + 1):
             dx, dy = (offset, 0) if is_steep else (0, offset)
-            self.line(x0 + dx, y0 + dy, x1 + dx, y1 + dy, look)
+            self.line((x0 + dx, y0 + dy), (x1 + dx, y1 + dy), look)
 
     def letters(self, column: int, row: int, text: str, look: str = "plain") -> None:
         """Draw letters from a character on; `column`, `row` count characters."""
@@ -273,7 +276,7 @@ def _draw_lines(canvas: Canvas, plot: Plot, bottom: float, top: float) -> None:
     def y(value: float) -> int:
         return round((top - value) / (top - bottom) * (canvas.height - 1))
 
-    canvas.line(0, y(0.0), canvas.width - 1, y(0.0), "muted", every=4)
+    canvas.line((0, y(0.0)), (canvas.width - 1, y(0.0)), "muted", every=4)
     first = BINS - len(plot.bins)
     xs = [round((first + n) * (canvas.width - 1) / (BINS - 1)) for n in range(len(plot.bins))]
     for j in sorted(range(len(plot.signs)), key=lambda j: j == plot.chosen):  # the selected line in front
@@ -281,17 +284,18 @@ def _draw_lines(canvas: Canvas, plot: Plot, bottom: float, top: float) -> None:
         dots = [(x, y(values[j])) if values else None for x, values in zip(xs, plot.bins, strict=True)]
         for dot, following in zip(dots, dots[1:] or dots, strict=False):
             if dot is not None and following is not None:
-                canvas.line(*dot, *following, look)
+                canvas.line(dot, following, look)
         if len(plot.signs) > 1:
-            _draw_signs(canvas, [dot for dot in dots if dot], plot.signs[j], j, len(plot.signs), look)
+            _draw_signs(canvas, plot, j, [dot for dot in dots if dot])
 
 
-def _draw_signs(canvas: Canvas, dots: Sequence[tuple[int, int]], sign: str, j: int, count: int, look: str) -> None:
+def _draw_signs(canvas: Canvas, plot: Plot, j: int, dots: Sequence[Dot]) -> None:
     """Draw a line's sign every few columns, in different columns for each line, so that coincident lines show theirs."""
+    count, look = len(plot.signs), "accent" if j == plot.chosen else "strong"
     by_column = {x // 2: y // 4 for x, y in dots}
     for column, at_row in by_column.items():
         if (canvas.columns - 2 - column - _APART * (count - 1 - j)) % (_APART * max(count, 3)) == 0:
-            canvas.letters(column, at_row, sign, "strong" if look == "muted" else look)
+            canvas.letters(column, at_row, plot.signs[j], look)
 
 
 def _number(value: float | None) -> str:
@@ -363,9 +367,7 @@ def view(scene: DrawnScene, axes: tuple[int, int], columns: int, rows: int, reac
     return canvas.lines()
 
 
-def _placed(
-    canvas: Canvas, scene: DrawnScene, axes: tuple[int, int], reach_m: float
-) -> tuple[Callable[[Point], tuple[int, int]], float]:
+def _placed(canvas: Canvas, scene: DrawnScene, axes: tuple[int, int], reach_m: float) -> tuple[Callable[[Point], Dot], float]:
     """Map metres to dots, and dots per metre, with equal scales, so that the scene fills the picture.
 
     The edges are at whole quarters of the reach, so that small motions do not shift the picture.
@@ -384,18 +386,18 @@ def _placed(
     bottom = canvas.height - 1 - (min(free, 2 * _MARGIN_dots) if axes == SIDE else free)
     across, up = axes
 
-    def place(point: Point) -> tuple[int, int]:
+    def place(point: Point) -> Dot:
         return round(edge + scale * (point[across] - left_m)), round(bottom - scale * (point[up] - low_m))
 
     return place, scale
 
 
-def _draw_axes(canvas: Canvas, place: Callable[[Point], tuple[int, int]], dots_m: float, axes: tuple[int, int]) -> None:
+def _draw_axes(canvas: Canvas, place: Callable[[Point], Dot], dots_m: float, axes: tuple[int, int]) -> None:
     """The base frame's axes across the picture, with ticks in metres; the side view's x axis is the ground."""
     x0, y0 = place((0.0, 0.0, 0.0))
     is_side = axes == SIDE
-    canvas.line(0, y0, canvas.width - 1, y0, "muted", every=1 if is_side else 3)
-    canvas.line(x0, 0, x0, canvas.height - 1 if not is_side else y0, "muted", every=3)
+    canvas.line((0, y0), (canvas.width - 1, y0), "muted", every=1 if is_side else 3)
+    canvas.line((x0, 0), (x0, canvas.height - 1 if not is_side else y0), "muted", every=3)
     number_row = y0 // 4 + 1 if is_side else canvas.rows - 1
     step_m = next((tick for tick in _TICKS_m if tick * dots_m >= _NUMBER_dots), _TICKS_m[-1])
     for n in range(1, int(max(canvas.width, canvas.height) / (step_m * dots_m)) + 1):
@@ -411,11 +413,11 @@ def _draw_axes(canvas: Canvas, place: Callable[[Point], tuple[int, int]], dots_m
     canvas.letters(x0 // 2, 0, "z" if is_side else "y", "strong")
 
 
-def _draw_arm(canvas: Canvas, scene: DrawnScene, place: Callable[[Point], tuple[int, int]]) -> None:
+def _draw_arm(canvas: Canvas, scene: DrawnScene, place: Callable[[Point], Dot]) -> None:
     for start, end in pairwise([place(corner) for corner in scene.board]):
-        canvas.line(*start, *end, "strong")
+        canvas.line(start, end, "strong")
     for start, end in pairwise([place(corner) for corner in scene.arm]):
-        canvas.stroke(*start, *end, "accent", half=2 if canvas.height >= _TALL_dots else 1)
+        canvas.stroke(start, end, "accent", half=2 if canvas.height >= _TALL_dots else 1)
     for point, sign, look in reversed(scene.joints):
         canvas.mark(*place(point), sign, look)
     if scene.arm:

@@ -17,8 +17,8 @@ from textual.widgets import Input, OptionList, Static
 from console.places import PlacesError, read_places
 from console.screen.dashboard import CommandBox, Dashboard, HeldButton, JogPad
 from console.screen.drawing import EventLog, Panel, clock, row
-from console.screen.jogging import RENEW_S, Jogger, neighbour
-from console.screen.operator import Message, RuntimeLink, ScreenOperator
+from console.screen.jogging import RENEW_S, neighbour
+from console.screen.operator import Message, RuntimeLink
 from console.user_config import remember_degrees
 
 
@@ -82,19 +82,11 @@ class OperatingScreen(Screen[None]):
         Binding("question_mark", "help", show=False),
     ]
 
-    def __init__(
-        self,
-        dashboard: Dashboard,
-        operator: ScreenOperator,
-        jogger: Jogger,
-        files: Files,
-        open_session: Callable[[str], None],
-        has_others: bool,
-    ) -> None:
+    def __init__(self, dashboard: Dashboard, files: Files, open_session: Callable[[str], None], has_others: bool) -> None:
         """`open_session` gets the options of a calibration session; `has_others`: arms on screens of their own."""
         super().__init__()
-        self._dashboard, self._operator, self._jogger = dashboard, operator, jogger
-        self._link: RuntimeLink = operator.link
+        self._dashboard, self._operator, self._jogger = dashboard, dashboard.operator, dashboard.jogger
+        self._link: RuntimeLink = self._operator.link
         self._files, self._open_session, self._has_others = files, open_session, has_others
         self._panels: dict[str, Panel] = {}  # by name: queries would cost more than drawing
 

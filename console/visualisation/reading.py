@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from console.visualisation.series import JOINT_FORMS, Array, Report, Series, of_columns
+from console.visualisation.series import JOINT_FORMS, Array, Report, Series, joints_of, of_columns
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.recording.cell_folder import SAME_S, arm_of, recorded_cell, recordings_in
@@ -81,12 +81,7 @@ def of_recording(recording: Recording, rows: NDArray[Any], arm: Arm | None = Non
     if count > len(rows):
         notes.append(f"{path}: {count - len(rows)} rows are damaged and were dropped")
     return of_columns(
-        path.name,
-        {name: rows[name] for name in layout.names},
-        layout.joint_count,
-        recording.modes,
-        arm or recorded_arm(recording),
-        tuple(notes),
+        path.name, {name: rows[name] for name in layout.names}, recording.modes, arm or recorded_arm(recording), tuple(notes)
     )
 
 
@@ -108,7 +103,7 @@ def _of_log(path: Path, arm: Arm | None) -> Series:
         columns[name] = _numbers([text for run in log.runs for text in run.extra.get(name, ())])
     names = tuple(run.name for run in log.runs)
     modes = tuple(mode.name for mode in Mode) if "mode" in columns else ()
-    return of_columns(path.name, columns, log.joint_count, modes, arm, (), names)
+    return replace(of_columns(path.name, columns, modes, arm), runs=names)
 
 
 def _numbers(texts: list[str]) -> Array:
@@ -186,13 +181,10 @@ def of_mcap(path: Path, arm: Arm | None, report: Report) -> Series:
     if not table.times_ns:
         raise ArmError(f"{path}: contains none of the topics {', '.join(TOPICS)}: expected an MCAP of `armwright export`")
     columns = table.columns()
-    joints = sum(name.startswith("q") and name.endswith("_rad") and name[1:-4].isdigit() for name in columns)
-    if not joints:
+    if not joints_of(columns):
         raise ArmError(f"{path}: contains no joint angles")
     modes = tuple(table.modes.get(k, f"mode {k}") for k in range(max(table.modes, default=-1) + 1))
-    return of_columns(
-        path.name, columns, joints, modes or MODES_BEFORE_THEY_WERE_RECORDED, arm or attached_arm(path), tuple(notes)
-    )
+    return of_columns(path.name, columns, modes or MODES_BEFORE_THEY_WERE_RECORDED, arm or attached_arm(path), tuple(notes))
 
 
 def _damage_errors() -> tuple[type[Exception], ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
@@ -28,16 +28,10 @@ Report = Callable[[float], None]
 
 
 def of_columns(
-    name: str,
-    columns: Mapping[str, NDArray[Any]],
-    joint_count: int,
-    modes: tuple[str, ...],
-    arm: Arm | None,
-    notes: tuple[str, ...] = (),
-    run_names: tuple[str, ...] | None = None,
+    name: str, columns: Mapping[str, NDArray[Any]], modes: tuple[str, ...], arm: Arm | None, notes: tuple[str, ...] = ()
 ) -> Series:
-    """Columns by the names of log.csv as a series; columns that are absent are NaN."""
-    count = len(columns["t_s"])
+    """Columns by the names of log.csv as a series; columns that are absent are NaN. The numbers of its runs are their names."""
+    count, joint_count = len(columns["t_s"]), joints_of(columns)
 
     def column(key: str) -> Array:
         found = columns.get(key)
@@ -46,7 +40,7 @@ def of_columns(
     def group(form: str) -> Array:
         return np.stack([column(form.format(joint)) for joint in range(1, joint_count + 1)], axis=1)
 
-    numbers, run_names = _numbered_runs(column("run"), run_names)
+    names, numbers = np.unique(np.nan_to_num(column("run")).astype(np.int64), return_inverse=True)
     joints: dict[str, Any] = {key: group(form) for key, form in JOINT_FORMS.items()}
     for key, form, same in JOINT_SIDE_FORMS:
         joints[key] = group(form) if form.format(1) in columns else joints[same]
@@ -56,7 +50,7 @@ def of_columns(
         name=name,
         t_s=joined_runs(column("t_s"), numbers),
         run=numbers,
-        runs=run_names,
+        runs=tuple(map(str, names)),
         mode=mode,
         modes=modes,
         tip_m=np.stack([column(axis) for axis in ("x_m", "y_m", "z_m")], axis=1),
@@ -67,13 +61,9 @@ def of_columns(
     )
 
 
-def _numbered_runs(run: Array, names: tuple[str, ...] | None) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Each row's index into the runs' names; without names, the numbers that occur are the names."""
-    numbers = np.nan_to_num(run).astype(np.int64)
-    if names is not None:
-        return numbers, names
-    found, numbers = np.unique(numbers, return_inverse=True)
-    return numbers, tuple(str(number) for number in found)
+def joints_of(columns: Iterable[str]) -> int:
+    """How many joints have an angle among the columns."""
+    return sum(name.startswith("q") and name.endswith("_rad") and name[1:-4].isdigit() for name in columns)
 
 
 Array = NDArray[np.float64]

@@ -76,7 +76,7 @@ def _measured(arm: Arm, files: list[str], least: int, is_as_given: bool) -> Poin
 
 def _record(args: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path) -> None:
     sys.stderr.write(f"{len(plan.visits)} visits, about {plan.duration_s / 60.0:.1f} minutes\n")
-    recorded(args, arm, plan, out, mocked_arm(arm) if args.mock else arm, "check-up")
+    recorded(args, mocked_arm(arm) if args.mock else arm, plan, out, "check-up")
 
 
 def mocked_arm(arm: Arm) -> Arm:

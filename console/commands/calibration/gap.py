@@ -83,7 +83,7 @@ def _record(args: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int
     said = (foresight.in_short(arm, plan), *(foresight.of_boards(arm) if plan.runs else ()))
     sys.stderr.write("".join(f"{sentence}\n" for sentence in said))
     try:
-        recorded(args, arm, plan, out, arm, "record")
+        recorded(args, arm, plan, out, "record")
     except (ArmError, CalibrationError) as error:
         if not (out / "points.csv").exists():
             raise
@@ -140,8 +140,8 @@ def record_on_arm(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out
             raise
 
 
-def recorded(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, mocked: Arm, what: str) -> None:
-    """Record on the arm, or on a mock of `mocked`; where it ends early, the operator is told how it goes on."""
+def recorded(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, what: str) -> None:
+    """Record on the arm, or on a mock of it; where it ends early, the operator is told how it goes on."""
     from procedures.tour import telling_where
 
     with telling_where(out):
@@ -151,8 +151,8 @@ def recorded(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Pat
         from procedures.gap.recording import note, record
         from procedures.mock import saved_mock
 
-        note(out, plan, mocked)
+        note(out, plan, arm)
         with Bar(what) as bar:
             bar.advance("homing", 0.0)
-            with saved_mock(mocked, args.scenario or "demo", args.seed, out) as bench:
-                record(mocked, bench, plan, out, bar.advance)
+            with saved_mock(arm, args.scenario or "demo", args.seed, out) as bench:
+                record(arm, bench, plan, out, bar.advance)

@@ -338,7 +338,7 @@ def test_a_recording_whose_clock_starts_again_is_one_that_rises(tmp_path: Path) 
 
 def test_columns_that_are_absent_are_nan() -> None:
     columns = {"t_s": np.arange(3.0), "q1_rad": np.zeros(3)}
-    series: Series = of_columns("x", columns, 1, (), None)
+    series: Series = of_columns("x", columns, (), None)
     assert np.isnan(series.current_A).all()
     assert replace(series, notes=("a",)).notes == ("a",)
     assert (series.mode == -1).all()
