@@ -5,7 +5,7 @@ Only the rough motor constants of the draft (resistance, constant, gear) are tru
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 
 from control.hardware.words import SIGNAL_LOST
 from control.model.arm import Drive
@@ -92,25 +92,39 @@ def pulse(bench: Workbench, operator: BringupOperator, drive: Drive, caution: Ca
     before_count = bench.motor_count(node)
     sinking = _drift(bench)
     limits = DriveLimits(caution.current_A, volts, travel_count=TRAVEL * PULSE_RAD * per_rad)
-    forth = _ramp(bench, drive, limits, per_rad, 1.0)
+    forth = _ramp(bench, drive, limits, 1.0, PULSE_RAD * per_rad)
     rest = bench.observe(SETTLE_S)
     moved = _moved(forth[0], rest, sinking)
     motor_board_count = bench.motor_count(node) - before_count
     seen = operator.what_moved(joint_count)
     returned: dict[Channel, int] = {}
     if any(abs(count) > MOVED_RAD * per_rad for count in moved.values()) or seen:
-        back = _ramp(bench, drive, limits, per_rad, -1.0, -_largest(moved))
+        back = _ramp(bench, drive, limits, -1.0, abs(_largest(moved)) or PULSE_RAD * per_rad)
         rest = bench.observe(SETTLE_S)
         returned = _moved(back[0], rest, sinking)
-    judged = _judged(drive, forth, moved, returned, seen, per_rad, motor_board_count)
-    return judged if bench.has_volts else replace(judged, peak_volts=math.nan, stall_ohm=math.nan)
+    channel, others = _answering(moved, MOVED_RAD * per_rad)
+    still = _still(forth)
+    return Pulse(
+        node=node,
+        joint=seen[0] if seen else 0,
+        direction=seen[1] if seen else 0,
+        channel=channel,
+        moved_count=moved[channel] if channel else 0,
+        returned_count=returned.get(channel, 0) if channel else 0,
+        others=others,
+        peak_volts=max(abs(s.volts) for s in forth) if bench.has_volts else math.nan,
+        peak_current_A=max(abs(s.current_A) for s in forth),
+        stall_ohm=_resistance_ohm(still) if bench.has_volts else math.nan,
+        breakaway_A=abs(still[-1].current_A) if still else math.nan,
+        motor_board_count=motor_board_count,
+        lost=tuple(at for at, flags in forth[-1].flags.items() if flags & SIGNAL_LOST),
+    )
 
 
-def _ramp(bench: Workbench, drive: Drive, limits: DriveLimits, per_rad: float, sign: float, wanted: int = 0) -> list[Sample]:
-    """Raise the voltage until the largest channel has moved by the pulse (or by `wanted` counts); returns all cycles."""
+def _ramp(bench: Workbench, drive: Drive, limits: DriveLimits, sign: float, goal_count: float) -> list[Sample]:
+    """Raise the voltage until the largest channel has moved by so many counts; returns all cycles."""
     samples: list[Sample] = []
     blind_rad, time_s = 0.0, 0.0
-    goal = abs(wanted) or PULSE_RAD * per_rad
     constant = drive.gear_ratio * drive.torque_constant_Nm_A
     with bench.driving(node_of(drive), limits):
         first = bench.cycle(0.0)
@@ -123,7 +137,7 @@ def _ramp(bench: Workbench, drive: Drive, limits: DriveLimits, per_rad: float, s
             # Voltage minus the resistive drop is back-EMF, hence speed.
             emf = max(0.0, volts - drive.resistance_ohm * abs(samples[-1].current_A))
             blind_rad += emf / constant * span_s
-            if any(abs(samples[-1].counts[at] - first.counts[at]) >= goal for at in first.counts):
+            if any(abs(samples[-1].counts[at] - first.counts[at]) >= goal_count for at in first.counts):
                 break
     return samples
 
@@ -146,37 +160,24 @@ def _largest(moved: dict[Channel, int]) -> int:
     return max(moved.values(), key=abs, default=0)
 
 
-def _judged(
-    drive: Drive,
-    forth: list[Sample],
-    moved: dict[Channel, int],
-    returned: dict[Channel, int],
-    seen: tuple[int, int] | None,
-    per_rad: float,
-    motor_board_count: int,
-) -> Pulse:
-    least = MOVED_RAD * per_rad
-    ordered = sorted((at for at in moved if abs(moved[at]) > least), key=lambda at: -abs(moved[at]))
-    channel = ordered[0] if ordered else None
-    largest = abs(moved[channel]) if channel else 0
-    others = tuple(at for at in ordered[1:] if abs(moved[at]) > ANSWERING_SHARE * largest)
-    still = [s for s in forth if all(abs(s.counts[at] - forth[0].counts[at]) < 5 for at in s.counts)]
+def _answering(moved: dict[Channel, int], least_count: float) -> tuple[Channel | None, tuple[Channel, ...]]:
+    """The channel that moved most, if one moved at all, and the others that answered."""
+    ordered = sorted((at for at in moved if abs(moved[at]) > least_count), key=lambda at: -abs(moved[at]))
+    if not ordered:
+        return None, ()
+    largest = abs(moved[ordered[0]])
+    return ordered[0], tuple(at for at in ordered[1:] if abs(moved[at]) > ANSWERING_SHARE * largest)
+
+
+def _still(forth: list[Sample]) -> list[Sample]:
+    """The cycles before anything moved."""
+    return [s for s in forth if all(abs(s.counts[at] - forth[0].counts[at]) < 5 for at in s.counts)]
+
+
+def _resistance_ohm(still: list[Sample]) -> float:
+    """Voltage over current; NaN if no current flowed."""
     vi, ii = sum(s.volts * s.current_A for s in still), sum(s.current_A**2 for s in still)
-    return Pulse(
-        node=node_of(drive),
-        joint=seen[0] if seen else 0,
-        direction=seen[1] if seen else 0,
-        channel=channel,
-        moved_count=moved[channel] if channel else 0,
-        returned_count=returned.get(channel, 0) if channel else 0,
-        others=others,
-        peak_volts=max(abs(s.volts) for s in forth),
-        peak_current_A=max(abs(s.current_A) for s in forth),
-        stall_ohm=vi / ii if ii > 0.01 else math.nan,
-        breakaway_A=abs(still[-1].current_A) if still else math.nan,
-        motor_board_count=motor_board_count,
-        lost=tuple(at for at, flags in forth[-1].flags.items() if flags & SIGNAL_LOST),
-    )
+    return vi / ii if ii > 0.01 else math.nan
 
 
 NO_CURRENT = 0.1  # of the current that the voltage would drive through the windings at rest

@@ -170,23 +170,23 @@ class PaperModel:
 def models_of(arm: Arm, points: Points) -> tuple[PaperModel, ...]:
     """The identifications: each tilt alone as the authors did, all tilts, free poses as well, backlash in the model."""
     tilts = [k for k, setup in enumerate(points.setup) if setup in SETUPS]
-    alone = [_identified(arm, points, [k for k in tilts if points.setup[k] == s], s, f"the {s} board alone") for s in SETUPS]
-    everywhere = range(len(points))
+    alone = [
+        _identified(arm, points.chosen([k for k in tilts if points.setup[k] == s]), s, f"the {s} board alone") for s in SETUPS
+    ]
     return (
         *alone,
-        _identified(arm, points, tilts, TILTS, "the three tilts together"),
-        _identified(arm, points, everywhere, FREE, "the tilts and free poses, geometry alone"),
-        _identified(arm, points, everywhere, BACKLASH, "the tilts and free poses, backlash in the model", True),
+        _identified(arm, points.chosen(tilts), TILTS, "the three tilts together"),
+        _identified(arm, points, FREE, "the tilts and free poses, geometry alone"),
+        _identified(arm, points, BACKLASH, "the tilts and free poses, backlash in the model", True),
     )
 
 
-def _identified(arm: Arm, points: Points, rows: Sequence[int], name: str, what: str, has_backlash: bool = False) -> PaperModel:
+def _identified(arm: Arm, points: Points, name: str, what: str, has_backlash: bool = False) -> PaperModel:
     """Identify by the sum of distances within 5 mm and 2 degrees, as in the paper."""
-    used = points.chosen(rows)
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)] if has_backlash else []
-    identification = identify(problem_of(arm, used, Choice(effects=tuple(wanted))))
-    notes = (*identification.in_words(), *unclear_flanks(arm, used, wanted), *unphysical(identification.solution.corrections))
-    return PaperModel(name, what, calibrated_arm(arm, identification), len(used), identification, notes)
+    identification = identify(problem_of(arm, points, Choice(effects=tuple(wanted))))
+    notes = (*identification.in_words(), *unclear_flanks(arm, points, wanted), *unphysical(identification.solution.corrections))
+    return PaperModel(name, what, calibrated_arm(arm, identification), len(points), identification, notes)
 
 
 def table_says(arm: Arm, points: Points) -> tuple[str, ...]:

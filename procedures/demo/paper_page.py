@@ -349,11 +349,15 @@ def _draw_remaining(figure: "Figure", replay: PaperReplay) -> None:
     axes = figure.add_axes((0.07, 0.1, 0.72, 0.82))
     at = np.arange(len(PLACES), dtype=float)
     before = [replay.of(replay.models[0].name, place) for place in PLACES]
-    _draw_means(axes, at - 0.36, [(b.before_m, b.before_half_m) for b in before], BEFORE, "X", "before")
-    for k, model in enumerate(replay.models):
+    drawn = [("before", BEFORE, "X", [(b.before_m, b.before_half_m) for b in before])]
+    for model, colour, marker in zip(replay.models, COLOURS, MARKERS, strict=False):
         entries: list[Improvement] = [replay.of(model.name, place) for place in PLACES]
-        means = [(e.after_m, e.after_half_m) for e in entries]
-        _draw_means(axes, at - 0.24 + 0.12 * k, means, COLOURS[k], MARKERS[k], model.name)
+        drawn.append((model.name, colour, marker, [(e.after_m, e.after_half_m) for e in entries]))
+    for k, (name, colour, marker, means_m) in enumerate(drawn):
+        values, halves = 1e3 * np.array(means_m).T
+        # An interval that reaches below half of the mean is cut there, for the logarithm.
+        spans = np.array([np.minimum(halves, 0.5 * values), halves])
+        axes.errorbar(at - 0.36 + 0.12 * k, values, spans, fmt=marker, ms=5, lw=1.2, color=colour, label=name)
     for k, setup in enumerate(SETUPS):
         value = 1e3 * AFTER_m[setup]
         axes.hlines(value, k - 0.4, k + 0.4, color="black", lw=1.5, ls="--", label="published" if k == 0 else "_")
@@ -365,13 +369,6 @@ def _draw_remaining(figure: "Figure", replay: PaperReplay) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), title="identified from")
 
 
-def _draw_means(axes: "Axes", at: np.ndarray, means_m: list[tuple[float, float]], colour: str, marker: str, label: str) -> None:
-    """Means with their intervals; an interval that reaches below half of the mean is cut there, for the logarithm."""
-    values, halves = 1e3 * np.array(means_m).T
-    spans = np.array([np.minimum(halves, 0.5 * values), halves])
-    axes.errorbar(at, values, spans, fmt=marker, ms=5, lw=1.2, color=colour, label=label)
-
-
 def _draw_planes(figure: "Figure", replay: PaperReplay, names: Sequence[str] | None) -> None:
     """Plot ideal and actual stops in three planes: before, or after with magnified errors."""
     planes = figure.subplots(1, 3)
@@ -379,21 +376,19 @@ def _draw_planes(figure: "Figure", replay: PaperReplay, names: Sequence[str] | N
     rows = replay.rows(OTHER)
     closed = [*rows, rows[0]]
     ideal = 1e3 * replay.wanted_m
+    if names is None:
+        stops = [(ideal + 1e3 * replay.error_m(None), BEFORE, "o", "actual, before calibration")]
+    else:
+        shown = zip(names, SHOWN_COLOURS, "D^v", strict=False)
+        stops = [(ideal + 20e3 * replay.error_m(name), colour, marker, f"{name}, error x 20") for name, colour, marker in shown]
     for axes, (i, j) in zip(planes, ((0, 1), (0, 2), (1, 2)), strict=True):
         axes.plot(ideal[closed, i], ideal[closed, j], "--", color=PLANNED, lw=1.6, label="ideal", zorder=3)
-        if names is None:
-            _draw_actual(axes, ideal + 1e3 * replay.error_m(None), closed, i, j, BEFORE, "o", "actual, before calibration")
-        for k, name in enumerate(names or ()):
-            actual = ideal + 20.0 * 1e3 * replay.error_m(name)
-            _draw_actual(axes, actual, closed, i, j, SHOWN_COLOURS[k], "D^v"[k], f"{name}, error x 20")
+        for actual, colour, marker, label in stops:
+            axes.plot(actual[closed, i], actual[closed, j], "-", marker=marker, ms=3.5, lw=1.1, color=colour, label=label)
         label_plane(axes, i, j, f"{'xyz'[i]}-{'xyz'[j]} plane")
         axes.set_aspect("equal", adjustable="datalim")
     handles, labels = planes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper right", bbox_to_anchor=(0.99, 1.0), ncols=4)
-
-
-def _draw_actual(axes: "Axes", actual: np.ndarray, rows: list[int], i: int, j: int, colour: str, marker: str, label: str) -> None:
-    axes.plot(actual[rows, i], actual[rows, j], "-", marker=marker, ms=3.5, lw=1.1, color=colour, label=label)
 
 
 def _draw_errors(axes: "Axes", replay: PaperReplay, names: Sequence[str]) -> None:

@@ -197,12 +197,12 @@ def _open_encoder(boards: AnsweringBoards, arm: Arm, clock: Clock, index: int, p
         f"{port.port}: serial number {identity.serial_number}, firmware {firmware}, {identity.channels} channels,"
         f" {identity.encoder_bits}-bit counters",
     )
-    _compare_encoder(boards, arm, what, index, port, identity)
+    _compare_encoder(boards, arm, index, identity)
 
 
-def _compare_encoder(
-    boards: AnsweringBoards, arm: Arm, what: str, index: int, port: EncoderBoardPort, identity: encoder_wire.Identity
-) -> None:
+def _compare_encoder(boards: AnsweringBoards, arm: Arm, index: int, identity: encoder_wire.Identity) -> None:
+    port = arm.encoder_boards[index]
+    what = f'encoder board "{port.name}"'
     if port.serial_number not in (None, identity.serial_number):
         remedy = "swap the plugs, or correct [[encoder_board]] serial_number"
         boards.bad(f"{what}: serial number", str(identity.serial_number), str(port.serial_number), remedy)

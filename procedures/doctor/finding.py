@@ -46,11 +46,6 @@ def graded(group: str, what: str, value: float, limits: tuple[float, float], wor
     return Finding(level, group, what, measured, expected, remedy if level is not Level.OK else "")
 
 
-def advised(is_well: bool, group: str, what: str, measured: str, expected: str, remedy: str) -> Finding:
-    """A finding that is fine or worth a warning, never bad."""
-    return Finding(Level.OK if is_well else Level.WARN, group, what, measured, expected, "" if is_well else remedy)
-
-
 def worst(findings: Sequence[Finding]) -> Level:
     """The worst of all."""
     return max((finding.level for finding in findings), default=Level.OK)

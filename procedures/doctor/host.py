@@ -5,6 +5,7 @@ Nothing is opened but the disk; what the boards say is `procedures.doctor.boards
 """
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -31,7 +32,7 @@ from firmware_iface.can_link import INTERFACES, can_buses
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.link import FrameLink
 from firmware_iface.serial_link import LATENCY_ms, PortHere, latency_file, lower_latency, serial_ports
-from procedures.doctor.finding import Finding, Level, advised, graded, percentile
+from procedures.doctor.finding import Finding, Level, graded, percentile
 
 TICK_S = 0.001
 PAUSE_TEST_S = 1.0
@@ -70,25 +71,22 @@ def look_at_kernel(root: Path) -> list[Finding]:
     is_throttled = runtime_us not in ("-1", "")
     share = f"{int(runtime_us) / 1e4:.0f} % of each second" if is_throttled else "not throttled"
     return [
-        advised(
+        _advised(
             not slow,
-            GROUP,
             "frequency governor",
             ", ".join(slow) or "performance, or none",
             "performance",
             "`cpupower frequency-set -g performance`: a processor that slows down is late",
         ),
-        advised(
+        _advised(
             is_realtime,
-            GROUP,
             "kernel",
             "PREEMPT_RT" if is_realtime else "without PREEMPT_RT",
             "PREEMPT_RT",
             "a kernel with PREEMPT_RT bounds the lateness of the loop; without, drivers may hold it up for milliseconds",
         ),
-        advised(
+        _advised(
             not is_throttled or int(runtime_us) >= LEAST_RT_us,
-            GROUP,
             "real-time tasks",
             share,
             "90 % or more",
@@ -102,7 +100,12 @@ def judge_strain(page_faults: int, switches: int) -> Finding:
     measured = f"{switches} involuntary switches, {page_faults} page faults"
     remedy = "end other programs; give the operator the rights above"
     is_calm = switches <= CALM_SWITCHES
-    return advised(is_calm, GROUP, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy)
+    return _advised(is_calm, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy)
+
+
+def _advised(is_well: bool, what: str, measured: str, expected: str, remedy: str) -> Finding:
+    """A finding about the host that is fine or worth a warning, never bad."""
+    return Finding(Level.OK if is_well else Level.WARN, GROUP, what, measured, expected, "" if is_well else remedy)
 
 
 def _text(file: Path) -> str:
@@ -427,12 +430,15 @@ def _judged(name: str, columns: NDArray[np.float64], period_s: float) -> list[Fi
                 "give the operator the real-time rights (see host)",
             ),
         ),
-        advised(
-            per_s <= CALM_PER_s,
+        graded(
             LAST_RECORDING,
             "what took its time",
-            f"{switches.sum():.0f} involuntary switches, {page_faults.sum():.0f} page faults",
-            f"at most {CALM_PER_s:.0f} switches a second",
-            "end other programs; give the operator the real-time rights (see host)",
+            per_s,
+            (CALM_PER_s, math.inf),
+            (
+                f"{switches.sum():.0f} involuntary switches, {page_faults.sum():.0f} page faults",
+                f"at most {CALM_PER_s:.0f} switches a second",
+                "end other programs; give the operator the real-time rights (see host)",
+            ),
         ),
     ]

@@ -136,8 +136,8 @@ def tune(arm: Arm, clock: Clock, options: TuningOptions, advance: Advance) -> Tu
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
             advance(f"joint {joint}: response with the present gains", (number + 0.5) / total)
-            before[joint], fitted = _try(session, measuring, joint, options)
-            chosen[joint] = _designed(measuring, joint, before[joint], fitted, options, pose)
+            before[joint] = _try(session, measuring, joint, options)
+            chosen[joint] = _designed(measuring, joint, before[joint], options, pose)
     for _ in range(TRIALS):
         tuned_arm = with_gains(arm, {joint: choice.design.gains for joint, choice in chosen.items()})
         after = _tried(in_voltage_mode(tuned_arm), clock, options, pose, advance)
@@ -162,7 +162,7 @@ def _tried(arm: Arm, clock: Clock, options: TuningOptions, pose: tuple[float, ..
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
             advance(f"joint {joint}: the new gains", (number + 0.5 + count) / (2 * count + 1))
-            after[joint], _ = _try(session, arm, joint, options)
+            after[joint] = _try(session, arm, joint, options)
     return after
 
 
@@ -211,7 +211,7 @@ def _pose(arm: Arm, options: TuningOptions) -> tuple[float, ...]:
     return tuple(pose)
 
 
-def _try(session: TuningSession, arm: Arm, joint: int, options: TuningOptions) -> tuple[Trial, MeasuredResponse]:
+def _try(session: TuningSession, arm: Arm, joint: int, options: TuningOptions) -> Trial:
     """Measure with the gains of the session's runtime."""
     drive = arm.drive(joint)
     unit = 1.0 if drive.pid.mode == "current" else drive.resistance_ohm
@@ -230,12 +230,11 @@ def _try(session: TuningSession, arm: Arm, joint: int, options: TuningOptions) -
     except PoorResponse as poor:
         raise NotTuned(f"joint {joint}: {poor}") from None
     found = margins(good.response.omega_rad_s, good.loop)
-    return Trial(gains_of(arm, joint, session.period_s), found, good, step, move), good
+    return Trial(gains_of(arm, joint, session.period_s), found, good, step, move)
 
 
-def _designed(
-    arm: Arm, joint: int, before: Trial, measured: MeasuredResponse, options: TuningOptions, pose: tuple[float, ...]
-) -> _Chosen:
+def _designed(arm: Arm, joint: int, before: Trial, options: TuningOptions, pose: tuple[float, ...]) -> _Chosen:
+    measured = before.measured
     if has_play_in_loop(arm.drive(joint)) and measured.distortion > NOT_LINEAR:
         raise NotTuned(
             f"joint {joint}: {measured.distortion:.0%} of its response is nonlinear (limit {NOT_LINEAR:.0%}), and its encoder is"

@@ -1,6 +1,5 @@
 """A whole verification, on an arm through its runtime or on recorded points."""
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from calib.points.writer import write_points
 from calib.report.report import Verification, write_verification_json, write_verification_report
 from calib.results import InputFile, input_file, made_today
 from calib.session.take import with_reference_tips
-from calib.validation.verify import Comparison, TrackPair, Used, already_used, compare_arms, compare_turns
+from calib.validation.verify import Comparison, TrackPair, already_used, compare_arms, compare_turns
 from control.dynamics.feedforward import FED_FORWARD
 from control.dynamics.joint_side import SIDE_EFFECTS
 from control.model import table as tables
@@ -89,8 +88,19 @@ def driven(pair: ModelPair, drive: SurveyPair, comparison: Comparison, paths: tu
         )
     q_rad = np.concatenate((drive.before.q_rad, drive.after.q_rad))
     used = already_used(pair.calibrated.arm, q_rad)
-    made = _verification(pair, comparison, paths, tuple(how), used, (), is_driven=True)
-    return dataclasses.replace(made, pose_count=len(q_rad))
+    nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
+    return Verification(
+        nominal,
+        calibrated,
+        comparison,
+        paths,
+        tuple(how),
+        (*used.warnings, *_left_out(nominal, calibrated, is_driven=True)),
+        is_driven=True,
+        made=made_today(*_arm_files(nominal, calibrated)),
+        used_count=used.count,
+        pose_count=len(q_rad),
+    )
 
 
 def on_recorded(pair: ModelPair, file: Path, wires: WireKnowledge, is_as_given: bool = False) -> Verification:
@@ -116,8 +126,19 @@ def on_recorded(pair: ModelPair, file: Path, wires: WireKnowledge, is_as_given: 
         " and the calibrated model from the encoders. Nothing moved.",
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)
-    verified = _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
-    return dataclasses.replace(verified, pose_count=len(points), turns=compare_turns(nominal, calibrated, points))
+    return Verification(
+        nominal,
+        calibrated,
+        comparison,
+        (),
+        how,
+        (*used.warnings, *warnings, *_left_out(nominal, calibrated, is_driven=False)),
+        is_driven=False,
+        made=made_today(*_arm_files(nominal, calibrated), used_file),
+        used_count=used.count,
+        pose_count=len(points),
+        turns=compare_turns(nominal, calibrated, points),
+    )
 
 
 def _with_tips(arm: Arm, points: Points) -> Points:
@@ -126,30 +147,6 @@ def _with_tips(arm: Arm, points: Points) -> Points:
         return points
     table = arm.table
     return with_reference_tips(points, lambda setup: tables.cavities(table, setup))
-
-
-def _verification(
-    pair: ModelPair,
-    comparison: Comparison,
-    paths: tuple[TrackPair, ...],
-    how: tuple[str, ...],
-    used: Used,
-    notes: tuple[str, ...],
-    is_driven: bool,
-    more: tuple[InputFile, ...] = (),
-) -> Verification:
-    nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
-    return Verification(
-        nominal,
-        calibrated,
-        comparison,
-        paths,
-        how,
-        (*used.warnings, *notes, *_left_out(nominal, calibrated, is_driven)),
-        is_driven,
-        made_today(*_arm_files(nominal, calibrated), *more),
-        used.count,
-    )
 
 
 def _arm_files(nominal: Arm, calibrated: Arm) -> tuple[InputFile, ...]:

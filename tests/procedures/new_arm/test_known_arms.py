@@ -68,6 +68,18 @@ def test_the_doctor_finds_a_known_arm_well(name: str) -> None:
     assert worst(findings) is Level.OK, as_text(findings)
 
 
+def test_the_doctor_names_joints_by_their_drives_where_arm_toml_lacks_one() -> None:
+    arm = load_arm(OWNED[0])
+    period_s = 1.0 / arm.usual_rate_Hz
+    with SteppedRig(arm, load_scenario("ideal")) as rig:
+        wired = wired_to(arm, rig)
+        boards = open_boards(dataclasses.replace(wired, drives=wired.drives[1:]), rig.clock, period_s)
+        boards.close()
+    timed = {finding.what.split(":")[0] for finding in boards.findings if "answers with its counts" in finding.what}
+    assert timed >= {f"joint {drive.joint}" for drive in arm.drives[1:]}
+    assert "joint 1" not in timed
+
+
 @pytest.mark.parametrize("name", OWNED)
 def test_a_known_arm_rests_above_the_floor_and_its_range_is_within_a_turn_of_its_servos(name: str) -> None:
     arm = load_arm(name)

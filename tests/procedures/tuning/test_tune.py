@@ -106,11 +106,12 @@ def test_a_poor_response_is_refused_with_what_to_do() -> None:
 @pytest.mark.parametrize(("side", "bend", "is_tuned"), [("motor", 1.0, True), ("joint", 0.0, True), ("joint", 1.0, False)])
 def test_a_joint_whose_encoder_is_behind_play_is_not_tuned_by_its_response(side: str, bend: float, is_tuned: bool) -> None:
     arm = with_drive(RIGHT, 1, encoder_on=side)
-    good, before = (usable(answered(bend=bend), 0.9), cast(Any, SimpleNamespace(gains=gains_of(arm, 1))))
+    good = usable(answered(bend=bend), 0.9)
+    before = cast(Any, SimpleNamespace(gains=gains_of(arm, 1), measured=good))
     assert (good.distortion > procedure.NOT_LINEAR) is (bend > 0.0)
     context = nullcontext() if is_tuned else pytest.raises(NotTuned, match="behind the gear: it has play or friction")
     with context:
-        procedure._designed(arm, 1, before, good, TuningOptions((1,)), (0.0, 0.15, 0.75))
+        procedure._designed(arm, 1, before, TuningOptions((1,)), (0.0, 0.15, 0.75))
 
 
 def test_inertias_are_relative_to_those_of_the_pose() -> None:
