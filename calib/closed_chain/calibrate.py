@@ -104,7 +104,8 @@ def choose_contacts(problem: PairProblem, count: int, noise_m: float) -> list[in
     known = determinability(problem.sensitivity(x), problem.parameters)
     rows = problem.of_contacts(x)[1] @ known.basis / noise_m
     rank = known.rank
-    experiment = Experiment((), frozen(known.basis), frozen(np.eye(rank)), frozen(rows), frozen(np.zeros((1, 3, rank))), False)
+    free = frozen(np.eye(rank))
+    experiment = Experiment((), frozen(known.basis), free, frozen(rows), frozen(np.zeros((1, 3, rank))), False, free)
     everything = np.arange(len(problem.contacts))
     return select(experiment, criterion_of("D"), np.zeros(0, dtype=np.intp), [Group("contacts", everything, count)])
 
