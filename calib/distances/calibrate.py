@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel, dh_names
+from calib.arm_problem.arm_model import ArmModel, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, referenced
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.posed import WeightedProblem, whole_problem
-from calib.arm_problem.problem import ArmProblem, ModelValues
+from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arrays import Array, frozen
 from calib.calibration.report import estimate_lines
 from calib.distances.problem import (
@@ -122,7 +122,6 @@ def _problem(arm: Arm, points: Points, readings: Readings, plan: DistancePlan) -
     """The problem of the measured tips, if there are any, and the whole one."""
     model, choice = ArmModel(arm), plan.choice
     seen = points.chosen(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)))
-    is_tool_free = "tool" in choice.freed or not arm.tool.known
     tips: ArmProblem | None = None
     inner: Problem | None = None
     tool_m = model.nominal_tool_m
@@ -135,13 +134,24 @@ def _problem(arm: Arm, points: Points, readings: Readings, plan: DistancePlan) -
         model,
         readings,
         devices_of(readings, nominal, plan.wires),
-        inner,
+        _free_of_arm(arm, choice) if inner is None else inner.parameters,
         unit_m=_unit_m(arm, readings, inner),
         tool_m=tool_m,
-        is_tool_free=is_tool_free,
-        bounds=choice.bounds,
-        fixed=choice.fixed,
+        inner=inner,
     )
+
+
+def _free_of_arm(arm: Arm, choice: Choice) -> tuple[Parameter, ...]:
+    """DH and tool, where no measured tips say what is identified. CalibrationError for an unknown name among the fixed ones."""
+    model, bounds = ArmModel(arm), choice.bounds
+    parameters = list(dh_parameters(model, bounds))
+    if "tool" in choice.freed or not arm.tool.known:
+        parameters += [
+            Parameter(name, "m", float(value), bounds.of_free(name, "m"))
+            for name, value in zip(TOOL_NAMES, model.nominal_tool_m, strict=True)
+        ]
+    require_known_names(choice.fixed, [parameter.name for parameter in parameters])
+    return tuple(parameter for parameter in parameters if parameter.name not in choice.fixed)
 
 
 def _unit_m(arm: Arm, readings: Readings, inner: Problem | None) -> float:
@@ -326,9 +336,7 @@ def _problem_of_others(arm: Arm, points: Points, where: Path, wires: WireKnowled
     model, readings = ArmModel(arm), readings_of(arm, points, where)
     tips = model.tips(model.nominal_dh, readings.q_rad)
     devices = devices_of(readings, tips, wires, to_spare=1)
-    return DistanceProblem(
-        model, readings, devices, unit_m=POSITION_NOISE_m, tool_m=model.nominal_tool_m, fixed=dh_names(len(arm.links))
-    )
+    return DistanceProblem(model, readings, devices, (), unit_m=POSITION_NOISE_m, tool_m=model.nominal_tool_m)
 
 
 def _errors_m(problem: DistanceProblem, where: Path) -> Array:

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import ArmModel, Bounds, Parameter, dh_names, dh_parameters, require_known_names
+from calib.arm_problem.arm_model import ArmModel, Parameter, dh_names
 from calib.arm_problem.checks import TURNS_LIMIT_rad
 from calib.arm_problem.expansion import ALL, Problem
 from calib.arm_problem.joint_effects import known_corrections
@@ -340,24 +340,19 @@ class DistanceProblem:
         model: ArmModel,
         readings: Readings,
         devices: tuple[Device, ...],
-        inner: Problem | None = None,
+        free: Sequence[Parameter],
         *,
         unit_m: float,
         tool_m: Array,
-        is_tool_free: bool = False,
-        bounds: Bounds | None = None,
-        fixed: Collection[str] = (),
+        inner: Problem | None = None,
     ) -> None:
-        """inner: the problem of measured tips, if there are any; unit_m: noise of a coordinate of its rows.
+        """free: what is identified besides the devices; inner: the problem of measured tips, if there are any, with the same.
 
-        tool_m (3,): start of the tool. CalibrationError for an unknown name in `fixed`, which holds where inner is None.
+        unit_m: noise of a coordinate of its rows; tool_m (3,): start of the tool.
         """
         self.model, self.readings, self.devices, self._inner = model, readings, devices, inner
         self._tool_m = frozen(tool_m)
-        of_arm = _of_the_arm(model, bounds or Bounds(), is_tool_free, tool_m)
         of_devices = [parameter for device in devices for parameter in device.parameters]
-        require_known_names(() if inner is not None else fixed, [p.name for p in of_arm])
-        free = inner.parameters if inner is not None else tuple(p for p in of_arm if p.name not in fixed)
         self._count = len(free)
         self.parameters = (*free, *of_devices)
         self._scale = np.array([p.scale for p in self.parameters])
@@ -479,12 +474,3 @@ class DistanceProblem:
         whole = np.zeros((*columns.shape[:2], len(self.parameters)))
         whole[:, :, : self._count] = columns
         return whole
-
-
-def _of_the_arm(model: ArmModel, bounds: Bounds, is_tool_free: bool, tool_m: Array) -> tuple[Parameter, ...]:
-    parameters = list(dh_parameters(model, bounds))
-    if is_tool_free:
-        parameters += [
-            Parameter(name, "m", float(value), bounds.of_free(name, "m")) for name, value in zip(TOOL_NAMES, tool_m, strict=True)
-        ]
-    return tuple(parameters)
