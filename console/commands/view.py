@@ -109,12 +109,13 @@ def _recorded(args: argparse.Namespace) -> int:
 
 def _play(args: argparse.Namespace, shown: Arm | Cell, series: Series) -> None:
     from console.visualisation.scene import scene_of
-    from console.visualisation.window import open_window, play
+    from console.visualisation.window import Player, open_window, play
 
     rows = _rows(series, 1.0 / 60.0)
     scene = scene_of(shown)
     sys.stdout.write("solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n")
-    play(scene, series, rows, traces_of(series, scene.tips), args.speed, MonotonicClock(), open_window)
+    player = Player(rows, series.t_s[rows].tolist(), args.speed)
+    play(scene, series, player, MonotonicClock(), open_window)
 
 
 def _rows(series: Series, period_s: float) -> Sequence[int]:

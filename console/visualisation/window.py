@@ -17,7 +17,7 @@ import numpy as np
 
 from console.visualisation.scene import Scene
 from console.visualisation.series import Series
-from console.visualisation.snapshots import Snapshot, TipPath, Traces, snapshot_at
+from console.visualisation.snapshots import Snapshot, TipPath, snapshot_at, traces_of
 from control.errors import ArmError
 from firmware_iface.clock import Clock
 
@@ -108,8 +108,9 @@ def _require_display() -> None:
 class Player:
     """Playback position in a recording; keys: space, arrows, home."""
 
-    def __init__(self, times_s: Sequence[float], speed: float) -> None:
-        self._times_s = np.asarray(times_s)
+    def __init__(self, rows: Sequence[int], times_s: Sequence[float], speed: float) -> None:
+        """`rows` of the recording are shown, each from its time on."""
+        self._rows, self._times_s = rows, np.asarray(times_s)
         self.at_s, self.speed, self.is_paused = float(self._times_s[0]), speed, False
 
     def key(self, code: int) -> None:
@@ -124,25 +125,25 @@ class Player:
             self.at_s = float(self._times_s[0])
 
     def on(self, passed_s: float) -> int:
-        """Advance the time; return the index of the present snapshot. Stops at the end."""
+        """Advance the time; return the row that is shown now. Stops at the end."""
         if not self.is_paused:
             self.at_s += passed_s * self.speed
         self.at_s = min(max(self.at_s, float(self._times_s[0])), float(self._times_s[-1]))
-        return int(np.searchsorted(self._times_s, self.at_s, side="right") - 1)
+        return self._rows[int(np.searchsorted(self._times_s, self.at_s, side="right")) - 1]
 
 
 PLAY_PERIOD_s = 1.0 / 60.0
 
 
-def play(scene: Scene, series: Series, rows: Sequence[int], traces: Traces, speed: float, clock: Clock, open_: Open) -> None:
+def play(scene: Scene, series: Series, player: Player, clock: Clock, open_: Open) -> None:
     """Show a recording until the window is closed."""
-    player = Player([float(series.t_s[row]) for row in rows], speed)
+    traces = traces_of(series, scene.tips)
     handle = open_(scene, player.key)
     before_s = clock.now_s()
     try:
         while handle.is_running():
             now_s = clock.now_s()
-            snapshot = snapshot_at(series, int(rows[player.on(now_s - before_s)]))
+            snapshot = snapshot_at(series, player.on(now_s - before_s))
             before_s = now_s
             with handle.lock():
                 scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)

@@ -189,8 +189,7 @@ def test_a_recording_plays_at_its_speed_and_the_window_ends_it(log: Path) -> Non
         windows.append(Window(scene, 31))
         return windows[0]
 
-    traces = traces_of(series, scene.tips)
-    play(scene, series, [int(row) for row in rows], traces, 2.0, clock, opened)
+    play(scene, series, Player(rows.tolist(), series.t_s[rows].tolist(), 2.0), clock, opened)
     window = windows[0]
     assert window.is_closed
     assert len(window.tips) == 31
@@ -202,7 +201,7 @@ def test_a_recording_plays_at_its_speed_and_the_window_ends_it(log: Path) -> Non
 
 
 def test_keys_pause_step_and_change_the_speed_within_the_recording() -> None:
-    player = Player([0.0, 1.0, 2.0, 3.0], 1.0)
+    player = Player(range(4), [0.0, 1.0, 2.0, 3.0], 1.0)
     assert player.on(1.5) == 1
     player.key(SPACE)
     assert player.on(10.0) == 1
