@@ -4,7 +4,7 @@ An arm as printed and put together at home (scenario so101: geometry 1 mm and 1 
 0.3 deg and 1 deg), with play as published. A camera of 0.5 mm sees the tip, in the base frame, in 40 poses to calibrate with and
 in 25 others to look at. Every model says where the tip is by encoders, directions of the last motion and currents: as published,
 with the zeros alone identified, with all of the geometry as if nobody knew how exactly parts are made, as `calibrate` does it,
-with what `gap` names besides; and by the exported URDF of the last, which knows no play.
+with what `gap` names besides; and by the exported URDF of the last, which knows play on average only.
 
 With `--webcam` pictures stand in the camera's place: a board on the jaw, rendered with lens distortion, blur and noise, goes
 through the detector, and neither the lens nor the places of camera and board are known. The errors are then those of the
@@ -34,7 +34,7 @@ from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.calibration.calibrate import points_in_base
 from calib.design.candidates import joint_box, spread_poses
-from calib.export import export_text
+from calib.export import exported
 from calib.studies import executor
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
 from calib.vision.intrinsics import fit_lens
@@ -225,7 +225,7 @@ def _of_urdf(arm: Arm) -> Arm:
     """What another program loads: the links of the exported URDF alone."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "exported.urdf"
-        file.write_text(export_text(arm, "urdf"), encoding="utf-8")
+        file.write_text(exported(arm, "urdf")[0], encoding="utf-8")
         serial = read_arm(file, "urdf", None, None)
     links, _ = arm_links(serial, "standard")
     return replace(arm, links=links, effects=(), maps=(), tool=type(arm.tool)())

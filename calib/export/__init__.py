@@ -1,6 +1,7 @@
 """Export of an arm to URDF, MJCF or plain JSON. docs/export.md describes the contents.
 
-Joint angles of the exported model are the arm's own, without offsets. The tip is a separate frame.
+Joint angles of the exported model are the arm's own, without offsets. The tip is a separate frame. Such programs know rigid trees
+only: the links are those of the rigid arm that is nearest to the file's with its effects (`nearest`).
 """
 
 from __future__ import annotations
@@ -12,23 +13,32 @@ from typing import Final
 from calib.errors import CalibrationError
 from calib.export.formats import mjcf_text, plain_text, urdf_text
 from calib.export.frames import losses
+from calib.export.nearest import nearest_rigid
 from control.files import write_whole
 from control.model.arm import Arm
 
-__all__ = ["FORMS", "export", "export_text", "write_new"]
+__all__ = ["FORMS", "export", "export_text", "exported", "write_new"]
 
-FORMS: Final[Mapping[str, Callable[[Arm], str]]] = {"urdf": urdf_text, "mjcf": mjcf_text, "json": plain_text}
+# Of the rigid arm, and of the file's.
+FORMS: Final[Mapping[str, Callable[[Arm, Arm], str]]] = {
+    "urdf": lambda rigid, _: urdf_text(rigid),
+    "mjcf": lambda rigid, _: mjcf_text(rigid),
+    "json": plain_text,
+}
 
 
-def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
+def export(arm: Arm, form: str, path: Path, is_served: bool = False) -> tuple[str, ...]:
     """Write the arm to a new file; return one sentence for everything that the format cannot represent.
+
+    `is_served`: for a program that moves the arm through `serve`, which corrects the effects.
 
     Raises:
         CalibrationError: unknown format, or the file exists.
         NotWritten: the disk is full, or the place is not ours.
     """
-    write_new(path, export_text(arm, form))
-    return losses(arm, form)
+    text, sentences = (export_text(arm, form), losses(arm, form)) if is_served else exported(arm, form)
+    write_new(path, text)
+    return sentences
 
 
 def write_new(path: Path, text: str) -> None:
@@ -40,7 +50,17 @@ def write_new(path: Path, text: str) -> None:
 
 
 def export_text(arm: Arm, form: str) -> str:
-    """The file's text; CalibrationError for an unknown format."""
+    """The text with the file's own links, for angles behind the effects, as `serve` has them; CalibrationError as `exported`."""
+    return _text(arm, arm, form)
+
+
+def exported(arm: Arm, form: str) -> tuple[str, tuple[str, ...]]:
+    """The text for angles of the encoders, and what it cannot represent; CalibrationError for an unknown format."""
+    rigid = nearest_rigid(arm)
+    return _text(rigid.arm, arm, form), (*losses(arm, form), *rigid.notes)
+
+
+def _text(rigid: Arm, arm: Arm, form: str) -> str:
     if form not in FORMS:
         raise CalibrationError(f'export form: expected one of {", ".join(FORMS)}, got "{form}"')
-    return FORMS[form](arm)
+    return FORMS[form](rigid, arm)

@@ -36,8 +36,8 @@ CONVENTIONS = {
 }
 
 
-def plain_text(arm: Arm) -> str:
-    """The arm as JSON. SI units, radians; null for an infinite limit or an unknown mass."""
+def plain_text(rigid: Arm, arm: Arm) -> str:
+    """JSON: `rigid` as rows and transforms, `arm` with all that its file has. SI, radians; null: infinite limit, unknown mass."""
     content = {
         "format": FORMAT,
         "name": arm.name,
@@ -45,9 +45,9 @@ def plain_text(arm: Arm) -> str:
         "dh_convention": arm.dh_convention,
         "chain": f"{CONVENTIONS[arm.dh_convention]}; base_T_tip = product of all, then the tool's position",
         "joints": arm.joint_count,
-        "dh": _rows(arm),
+        "dh": _rows(rigid),
         "tool_m": list(arm.tool.position_m),
-        "at_zero": _at_zero(arm),
+        "at_zero": _at_zero(rigid),
         "arm": _plain_values(arm),
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"

@@ -28,7 +28,7 @@ from calib.points.reading import read_points
 from calib.results import input_file
 from calib.validation.statistics import Difference, ErrorSummary, difference, improvement_percent, mean_half_width, summarise
 from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.rotation import logarithms, matrices
+from control.kinematics.rotation import exponentials, logarithms, matrices
 from control.model import table as tables
 from control.model.arm import Arm
 from control.plain_text import aligned
@@ -140,8 +140,7 @@ def compare_turns(nominal: Arm, calibrated: Arm, points: Points) -> TurnComparis
 
 
 def _angles_rad(arm: Arm, points: Points) -> Array:
-    q = points.q_rad + known_corrections(arm, points)
-    model = ForwardKinematics(arm).link_transforms(q)[:, -1, :3, :3]
+    model = predicted_orientations(arm, points)
     measured = measuring_frame(arm, points).rotation @ matrices(points.orientation)
     target = mean_rotation(np.swapaxes(model, 1, 2) @ measured)
     return norms(logarithms(measured @ np.swapaxes(model @ target, 1, 2)))
@@ -441,6 +440,14 @@ def predicted_tips(arm: Arm, points: Points) -> Array:
     tips = ForwardKinematics(arm).tips(joint_rad)
     bent = known_bending(arm, joint_rad, points.payload_kg)
     return tips if bent is None else np.asarray(tips + bent.shift)
+
+
+def predicted_orientations(arm: Arm, points: Points) -> Array:
+    """Orientations (m, 3, 3) of the last link in the base frame, as `predicted_tips`."""
+    joint_rad = points.q_rad + known_corrections(arm, points)
+    turned = ForwardKinematics(arm).link_transforms(joint_rad)[:, -1, :3, :3]
+    bent = known_bending(arm, joint_rad, points.payload_kg)
+    return turned if bent is None else np.asarray(exponentials(bent.turn) @ turned)
 
 
 def errors_of(arm: Arm, points: Points) -> Array:

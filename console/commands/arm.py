@@ -31,7 +31,9 @@ def run(args: argparse.Namespace) -> int:
     arm = load_arm(args.arm)
     if args.command == "export-arm":
         own = {LEROBOT: _given_back, PYTHON: _compensation}
-        return own[args.export](arm, args) if args.export in own else _export(arm, args.export, Path(args.out))
+        if args.served and args.export in own:
+            raise ArmError(f"--served: expected --export urdf, mjcf or json, got {args.export}, which `serve` has no need of")
+        return own[args.export](arm, args) if args.export in own else _export(arm, args)
     if args.lerobot:
         return _taken_over(arm, args)
     figures, absent = sheet(arm), missing(arm)
@@ -89,28 +91,34 @@ def _taken_over(arm: Arm, args: argparse.Namespace) -> int:
 
 
 def _given_back(arm: Arm, args: argparse.Namespace) -> int:
-    """LeRobot's calibration with the zeros that were identified."""
+    """LeRobot's calibration with the zeros that were identified, and what effects do to them on average."""
     from calib.arm_import.lerobot import given_back, read_calibration
+    from calib.arm_problem.arm_model import dh_names
     from calib.export import write_new
+    from calib.export.nearest import nearest_rigid
 
     if not args.lerobot:
         raise ArmError("--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept")
     generic = load_arm(args.generic) if args.generic else arm
-    motors, notes = given_back(arm, read_calibration(Path(args.lerobot)), generic)
+    zeros = {f"theta{row}" for row, turns in enumerate(arm.joints, start=1) if turns}
+    rigid = nearest_rigid(arm, fixed=set(dh_names(len(arm.links))) - zeros)
+    motors, notes = given_back(rigid.arm, read_calibration(Path(args.lerobot)), generic)
     write_new(Path(args.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
-    return _told(f"{args.out}: arm {arm.name}, as LeRobot's calibration", notes)
+    return _told(f"{args.out}: arm {arm.name}, as LeRobot's calibration", (*notes, *rigid.notes))
 
 
 def _compensation(arm: Arm, args: argparse.Namespace) -> int:
     """The function that makes a program that knows the published arm go where it wants."""
     from calib.export import write_new
-    from calib.export.formats import omitted, python_text
+    from calib.export.formats import CORRECTED, omitted, python_text
+    from calib.export.nearest import nearest_rigid
 
     if not args.generic:
         raise ArmError("--export python: give the arm that the program plans with, such as --generic so101")
-    published = load_arm(args.generic)
-    write_new(Path(args.out), python_text(arm, published))
-    return _told(f"{args.out}: arm {arm.name}, for programs that plan with {args.generic}", omitted(arm, published))
+    published, rigid = load_arm(args.generic), nearest_rigid(arm, known=CORRECTED)
+    write_new(Path(args.out), python_text(rigid.arm, published))
+    notes = (*omitted(arm, published), *rigid.notes)
+    return _told(f"{args.out}: arm {arm.name}, for programs that plan with {args.generic}", notes)
 
 
 def _told(what: str, notes: Sequence[str]) -> int:
@@ -118,11 +126,12 @@ def _told(what: str, notes: Sequence[str]) -> int:
     return 0
 
 
-def _export(arm: Arm, form: str, path: Path) -> int:
+def _export(arm: Arm, args: argparse.Namespace) -> int:
     """URDF, MJCF or JSON; prints what the format cannot represent."""
     from calib.export import export
 
-    return _told(f"{path}: arm {arm.name}, {arm.joint_count} joints, as {form}", export(arm, form, path))
+    written = f"{args.out}: arm {arm.name}, {arm.joint_count} joints, as {args.export}"
+    return _told(written, export(arm, args.export, Path(args.out), args.served))
 
 
 def summary(arm: Arm) -> dict[str, Any]:

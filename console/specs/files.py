@@ -55,6 +55,11 @@ FILES = (
                 "the published arm, such as so101: with lerobot, whose zeros LeRobot is to have; with python, the one that a"
                 " program plans with",
             ),
+            option(
+                "--served",
+                "urdf, mjcf, json: for a program that moves the arm through `serve`, which corrects play and other effects: the"
+                " links as the file has them (default: those of the rigid arm that is nearest with its effects)",
+            ),
             option("--out FILE", "the new file; never overwritten", required=True),
         ),
         "Lists what the format cannot represent. The joint angles are those of the arm.",
