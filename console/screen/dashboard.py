@@ -93,7 +93,7 @@ class JogPad(Vertical):
 
 
 BOX_HINT = ": a line, as in `armwright script`, e.g. jog --joint 1 --by 0.05"
-BOX_HINT_FOCUSED = "keys are typed here: Escape, or Enter in the empty box, gives them back to the arm"
+BOX_HINT_FOCUSED = "keys are typed here; Escape or an empty Enter gives them back to the arm"
 
 
 class CommandBox(Input):

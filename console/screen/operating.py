@@ -285,7 +285,7 @@ class OperatingScreen(Screen[None]):
         """Open the calibration session; an existing folder is resumed."""
         folder = self._files.sessions / time.strftime("%Y-%m-%d")
         options = f"--out {folder}" if folder.exists() else f"--out {folder} --setups normal,roll,pitch"
-        question = "Options of `armwright session`. To resume a session give --out alone."
+        question = "Options of `armwright session`; --out alone resumes one"
         line = await self.app.push_screen_wait(AskText(question, options))
         if line is not None:
             self._open_session(line)
@@ -313,10 +313,9 @@ class OperatingScreen(Screen[None]):
         await asyncio.sleep(0)
 
 
-# No line is wider than 66: a terminal of 80 columns shows it whole.
+# No line is wider than 66, and there are 17: a terminal of 80 columns and 24 lines shows it whole.
 HELP = """\
 [b]space[/]     STOPS the arm, everywhere, and whatever line runs
-
 [b]1[/]-[b]9[/]       jog joint 1 ...          [b]x y z[/]   jog the tip on an axis
 [b]X Y Z[/]     turn it about an axis    [b]e[/]       axes of base or tip
 [b]← →[/]       jog: hold the key; it moves while the key repeats

@@ -13,7 +13,7 @@ from textual import events
 from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
-from console.screen.dashboard import CommandBox
+from console.screen.dashboard import BOX_HINT, BOX_HINT_FOCUSED, CommandBox
 from console.screen.operating import Choose
 from console.screen.operator import RuntimeLink
 from console.user_config import shows_degrees
@@ -215,6 +215,21 @@ def test_space_stops_on_the_screen_in_the_command_box_and_in_a_dialog(tmp_path: 
         await stops()
 
     played(tmp_path, play)
+
+
+def test_every_dialog_and_the_box_s_hint_are_whole_on_80_by_24(tmp_path: Path) -> None:
+    async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        for key in ("question_mark", "h", "o", "u", "k", "f", "c"):
+            await press(pilot, key)
+            await until(pilot, lambda: any(part.size for part in app.screen.query(".dialog")))
+            dialog = app.screen.query_one(".dialog")
+            for part in dialog.children:
+                assert dialog.content_region.contains_region(part.region), key
+            await press(pilot, "escape")
+            await until(pilot, lambda: app.screen is app.operating)
+
+    played(tmp_path, play)
+    assert max(map(len, (BOX_HINT, BOX_HINT_FOCUSED))) < 80
 
 
 def test_space_ends_the_line_that_runs_and_its_motion(tmp_path: Path) -> None:
