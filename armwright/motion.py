@@ -31,12 +31,16 @@ class Samples:
     tip_m: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Trajectory:
     """A path that `arm` can run within its limits, from rest to rest; `RunningArm.run` takes it."""
 
     arm: Arm
     path: PlannedPath
+
+    def __repr__(self) -> str:
+        """In one line: an interactive session prints what an expression gives."""
+        return f"<Trajectory of arm {self.arm.name}: {len(self.path.q_waypoints_rad)} way-points in {self.duration_s:.2f} s>"
 
     @property
     def duration_s(self) -> float:

@@ -30,7 +30,7 @@ CAMERA_FRAME, STREAM_FRAME = OWN_FRAMES = ("camera", "stream")
 FREE = "free"  # in the column `setup`: poses away from any board
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Points:
     """m static poses of an arm with n joints; arrays are read-only.
 
@@ -58,6 +58,12 @@ class Points:
     is_as_given: bool = False
     began_s: float = math.nan
     lines: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # empty: from 2
+
+    def __repr__(self) -> str:
+        """In one line: an interactive session prints what an expression gives."""
+        tips = int(np.isfinite(self.tip_m[:, 0]).sum())
+        setups = ", ".join(dict.fromkeys(self.setup))
+        return f"<Points: {len(self.q_rad)} poses of {self.q_rad.shape[1]} joints, {tips} measured tips, setups {setups}>"
 
     def __post_init__(self) -> None:
         """Without any orientation or covariance, a row of NaN for each pose."""

@@ -283,7 +283,9 @@ class Comparison:
         )
 
     def of(self, setup: str) -> SetupComparison:
-        """One setup, or `all` for every point."""
+        """One setup, or `all` for every point. CalibrationError if there is no such setup."""
+        if setup not in (*self.setups, ALL):
+            raise CalibrationError(f"setup: expected one of {', '.join((*self.setups, ALL))}, got {setup!r}")
         rows = [k for k, name in enumerate(self.setup) if setup in (name, ALL)]
         before_m, after_m = norms(self.before_m[rows]), norms(self.after_m[rows])
         return SetupComparison(setup, summarise(before_m), summarise(after_m), difference(before_m, after_m))

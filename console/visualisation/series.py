@@ -70,7 +70,7 @@ Array = NDArray[np.float64]
 FOLLOWING_MODES: Final = ("HOLDING", "MOVING", "STOPPING", "JOGGING", "PAUSED")  # modes with valid set-points
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Series:
     """m samples of n joints; NaN where nothing was measured.
 
@@ -105,6 +105,12 @@ class Series:
     arm: Arm | None = None
     notes: tuple[str, ...] = ()
     cell: Cell | None = None
+
+    def __repr__(self) -> str:
+        """In one line: an interactive session prints what an expression gives."""
+        duration_s = self.t_s[-1] - self.t_s[0] if len(self) else 0.0
+        joints, runs = self.joint_count, len(self.runs_present)
+        return f"<Series {self.name}: {len(self)} samples of {joints} joints, {duration_s:.2f} s, {runs} run{'s' * (runs != 1)}>"
 
     def __len__(self) -> int:
         """Number of samples."""

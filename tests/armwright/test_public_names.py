@@ -124,11 +124,23 @@ def test_points_may_be_a_file(tmp_path: Path) -> None:
     arm, file = armwright.load_arm("right"), tmp_path / "points.csv"
     q_rad = [[0.1 * k, -0.5, 0.5] for k in range(5)]
     write_points(file, armwright.make_points(q_rad, armwright.Kinematics(arm).forward(q_rad)))
-    assert armwright.verify(arm, arm, file).of("all").after.mean_m == pytest.approx(0.0, abs=1e-6)
+    comparison = armwright.verify(arm, arm, file)
+    assert comparison.of("all").after.mean_m == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(armwright.CalibrationError, match="setup: expected one of free, all, got 'al'"):
+        comparison.of("al")
     file.write_text("setup,point,repeat,q1_rad,x_m,y_m,z_m\nfree,1,1,0,0,0,0\n", encoding="utf-8")
     for look in (armwright.calibrate, armwright.find_gap, lambda arm, points: armwright.verify(arm, arm, points)):
         with pytest.raises(armwright.CalibrationError, match=r"points\.csv, line 1: "):
             look(arm, str(file))
+
+
+def test_what_an_interactive_session_prints_is_one_line(tmp_path: Path) -> None:
+    points = armwright.make_points(np.zeros((4, 5)), np.zeros((4, 3)))
+    assert repr(points) == "<Points: 4 poses of 5 joints, 4 measured tips, setups free>"
+    assert repr(armwright.plan_path(SIX, circle_in_place(SIX).points)).startswith(f"<Trajectory of arm {SIX.name}: ")
+    log = tmp_path / "log.csv"
+    log.write_text("run,t_s,q1_rad,q2_rad\na,0,0,0\na,0.5,0,0\n")
+    assert repr(armwright.read_recording(log)) == "<Series log.csv: 2 samples of 2 joints, 0.50 s, 1 run>"
 
 
 def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
