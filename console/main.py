@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from console import options
 from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
-from control.plain_text import prepare_streams
+from control.plain_text import folded, prepare_streams
 from firmware_iface import interrupts
 
 _OPTIONS = {command.name: command.options for command in COMMANDS}
@@ -156,7 +156,7 @@ def run(command: "options.Command", args: argparse.Namespace) -> int:
 
 def fail(message: str, status: int) -> int:
     """Print an error on standard error; returns `status`."""
-    sys.stderr.write(f"armwright: {message}\n")
+    sys.stderr.write(folded(f"armwright: {message}\n", sys.stderr))
     return status
 
 

@@ -6,7 +6,10 @@ Long tasks tell their progress to an `Advance`.
 from __future__ import annotations
 
 import codecs
+import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, TextIO
 
@@ -45,6 +48,7 @@ IN_ASCII: Final = {
     "─": "-",
     "│": "|",
 }
+UNBROKEN: Final = "\N{NO-BREAK SPACE}"
 ESCAPED_BYTES: Final = range(0xDC80, 0xDD00)  # how Python represents undecodable bytes of file names
 
 
@@ -75,6 +79,26 @@ def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> s
         widths[-1:] = [0]  # nothing follows it
     sides = [str.ljust] * left + [str.rjust] * (len(widths) - left)
     return "\n".join(indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True)) for row in cells)
+
+
+def folded(text: str, stream: TextIO) -> str:
+    """Text for `stream`: on a terminal, sentences that are wider than it are broken between words.
+
+    Rows of tables, which have gaps of several spaces, command lines, and commands in backticks stay whole, as they are copied.
+    """
+    if not stream.isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    return "\n".join(_folded(line, width) for line in text.split("\n"))
+
+
+def _folded(line: str, width: int) -> str:
+    indent = line[: len(line) - len(line.lstrip(" "))]
+    if len(line) <= width or "  " in line.strip() or line.strip().startswith("armwright "):
+        return line
+    whole = re.sub("`[^`]*`", lambda command: command[0].replace(" ", UNBROKEN), line)
+    lines = textwrap.wrap(whole, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines).replace(UNBROKEN, " ")
 
 
 def listed(names: Sequence[str]) -> str:

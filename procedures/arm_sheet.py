@@ -321,7 +321,7 @@ def sheet_lines(arm: Arm, figures: ArmSheet, absent: tuple[Missing, ...]) -> Ite
     if figures.buses is not None:
         yield _buses_in_words(arm, figures.buses)
     yield from (f"warning: {text}" for text in warnings(figures))
-    yield from (f"missing: {one.what}: {one.needed_for}" for one in absent)
+    yield from (f"missing: {one.what}, needed for {one.needed_for}" for one in absent)
 
 
 def warnings(figures: ArmSheet) -> Iterator[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from control.plain_text import aligned
+from control.plain_text import aligned, folded
 from control.server.channel import Message, RuntimeGone
 from control.server.client import ArmClient, RequestRefused
 
@@ -26,7 +26,7 @@ def to_type(*words: object) -> str:
 
 def warn(sentences: Iterable[str]) -> None:
     """Tell the operator, beside the results."""
-    sys.stderr.writelines(f"armwright: warning: {sentence}\n" for sentence in sentences)
+    sys.stderr.writelines(folded(f"armwright: warning: {sentence}\n", sys.stderr) for sentence in sentences)
 
 
 def answer(args: argparse.Namespace, content: object, text: str, files: Mapping[str, Path] | None = None) -> None:
@@ -37,7 +37,8 @@ def answer(args: argparse.Namespace, content: object, text: str, files: Mapping[
         sys.stdout.write(content.read_text("utf-8") if isinstance(content, Path) else json_text(content))
         return
     where = aligned([(what, str(file)) for what, file in (files or {}).items()], left=2, indent="  ")
-    sys.stdout.write("\n\n".join(filter(None, (text.rstrip("\n"), where))) + "\n")
+    said = folded(text.rstrip("\n"), sys.stdout)
+    sys.stdout.write("\n\n".join(filter(None, (said, where))) + "\n")
 
 
 class Bar:

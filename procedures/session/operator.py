@@ -35,6 +35,7 @@ from calib.session.plan import Mark, SessionPlan, SessionState, Target
 from calib.vision.poses import picture_name
 from control.errors import ArmError
 from control.model.arm import Table
+from control.plain_text import folded
 from control.server.channel import Message
 from control.server.client import ArmClient, ArmFaulted, fault_text
 
@@ -546,5 +547,5 @@ def _echoed(line: str, say: Callable[[str], None]) -> str:
 
 
 def _say(text: str) -> None:
-    sys.stdout.write(text if text.endswith("\n") else f"{text}\n")
+    sys.stdout.write(folded(text if text.endswith("\n") else f"{text}\n", sys.stdout))
     sys.stdout.flush()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from control.plain_text import HANDLER, IN_ASCII, prepare_streams
+from control.plain_text import HANDLER, IN_ASCII, folded, prepare_streams
 
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 ROOT = Path(__file__).parents[2]
@@ -84,3 +84,25 @@ def test_commands_take_any_path_on_a_plain_ascii_terminal(tmp_path: Path, argume
     assert b"cannot be written in" not in said
     assert name in said
     assert done.returncode == status
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_gets_sentences_broken_between_words_and_tables_and_commands_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    row = "joint  angle  count  current  supply"
+    command = "  armwright serve --arm a-long-path/arm.toml"
+    text = f"{row}\n{command}\n  the arm rests: `armwright enable --arm left` holds it\nshort\n"
+    assert folded(text, io.StringIO()) == text
+    assert folded(text, Terminal()).splitlines() == [
+        row,
+        command,
+        "  the arm rests:",
+        "  `armwright enable --arm left`",
+        "  holds it",
+        "short",
+    ]
+    assert folded(text, Terminal()).endswith("short\n")
