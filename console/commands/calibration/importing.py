@@ -62,7 +62,10 @@ def _asked(args: argparse.Namespace, columns: dict[str, str]) -> Understood:
         except Unclear as unclear:
             if not sys.stdin.isatty():
                 raise
-            answer = input(f"{unclear.question}? ({', '.join(unclear.choices)}) ").strip()
+            try:
+                answer = input(f"{unclear.question}? ({', '.join(unclear.choices)}) ").strip()
+            except EOFError:
+                raise unclear from None
             if answer not in unclear.choices:
                 continue
             if unclear.option == "--columns":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -103,3 +105,17 @@ def test_an_arm_without_its_option_is_told_it(capsys: pytest.CaptureFixture[str]
     with pytest.raises(SystemExit):
         main(["export-arm", "my_arm.toml", "--export", "urdf", "--out", "x"])
     assert "my_arm.toml: the arm's file follows --arm" in capsys.readouterr().err
+
+
+def test_a_question_that_nobody_answers_ends_with_the_option_that_answers_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(sys, "stdin", Terminal())
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text("q1;q2;q3;x [mm];y [mm];z [mm]\n0;0;0;1;2;3\n")
+    assert main(["import-points", str(sheet), "--arm", "right", "--out", str(tmp_path / "out")]) == 2
+    assert "answer with --angles NAME; NAME is one of rad, deg" in capsys.readouterr().err
