@@ -150,7 +150,7 @@ class Dashboard:
     def __init__(self, arm: Arm, operator: ScreenOperator, jogger: Jogger) -> None:
         self.override = 1.0
         self.in_degrees = shows_degrees()
-        self._arm, self.operator, self.jogger = arm, operator, jogger
+        self.arm, self.operator, self.jogger = arm, operator, jogger
         self._link: RuntimeLink = operator.link
         self._skeleton = drawing.Skeleton(arm)
         self._history = drawing.History()
@@ -169,8 +169,8 @@ class Dashboard:
         """The panels of the arm and of its values over time."""
         yield drawing.Panel("side", "Side: x, z m")
         yield drawing.Panel("top", "Top: x, y m")
-        yield drawing.Panel("error", f"Error mrad, limit {1e3 * self._arm.limits.following_error_rad:g}")
-        yield drawing.Panel("current", f"Current A, limit {max(d.current_limit_A for d in self._arm.drives):g}")
+        yield drawing.Panel("error", f"Error mrad, limit {1e3 * self.arm.limits.following_error_rad:g}")
+        yield drawing.Panel("current", f"Current A, limit {max(d.current_limit_A for d in self.arm.drives):g}")
         yield drawing.Panel("speed", "Tip speed mm/s")
         yield drawing.Panel("late", "Loop lateness p99 us")
 
@@ -203,7 +203,7 @@ class Dashboard:
         return True
 
     def _texts(self, status: Status | None, room: PanelSize) -> Iterator[Drawn]:
-        arm, selected, why_lost = self._arm, self.jogger.selected.name, self._link.why_lost
+        arm, selected, why_lost = self.arm, self.jogger.selected.name, self._link.why_lost
         yield "head", [texts.headline(status, arm, why_lost, room("head")[0], drawing.clock())]
         yield "status", texts.status_rows(status, why_lost, room("status")[0])
         if status is not None:

@@ -284,7 +284,8 @@ class OperatingScreen(Screen[None]):
     async def action_calibrate(self) -> None:
         """Open the calibration session; an existing folder is resumed."""
         folder = self._files.sessions / time.strftime("%Y-%m-%d")
-        options = f"--out {folder}" if folder.exists() else f"--out {folder} --setups normal,roll,pitch"
+        plan = "--camera --free 24" if self._dashboard.arm.table is None else "--setups normal,roll,pitch"
+        options = f"--out {folder}" if folder.exists() else f"--out {folder} {plan}"
         question = "Options of `armwright session`; --out alone resumes one"
         line = await self.app.push_screen_wait(AskText(question, options))
         if line is not None:

@@ -11,12 +11,14 @@ from typing import Any
 import pytest
 from textual import events
 from textual.pilot import Pilot
+from textual.widgets import Input
 
 from console.screen.app import ConsoleApp
 from console.screen.dashboard import BOX_HINT, BOX_HINT_FOCUSED, CommandBox
 from console.screen.operating import Choose
 from console.screen.operator import RuntimeLink
 from console.user_config import shows_degrees
+from control.model.arm import Table
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell
@@ -230,6 +232,17 @@ def test_every_dialog_and_the_box_s_hint_are_whole_on_80_by_24(tmp_path: Path) -
 
     played(tmp_path, play)
     assert max(map(len, (BOX_HINT, BOX_HINT_FOCUSED))) < 80
+
+
+@pytest.mark.parametrize(("table", "plan"), [(RIGHT.table, "--setups normal,roll,pitch"), (None, "--camera --free 24")])
+def test_a_session_is_proposed_that_the_arm_can_take(table: Table | None, plan: str, tmp_path: Path) -> None:
+    async def run(cell: Cell) -> None:
+        async with console_on(cell, tmp_path, arm=replace(RIGHT, table=table)) as (app, pilot, _):
+            await press(pilot, "c")
+            await until(pilot, lambda: any(box.value.endswith(plan) for box in app.screen.query(".dialog Input").results(Input)))
+
+    with holding_cell() as cell:
+        asyncio.run(run(cell))
 
 
 def test_space_ends_the_line_that_runs_and_its_motion(tmp_path: Path) -> None:
