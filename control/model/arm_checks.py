@@ -335,6 +335,9 @@ def _check_own_inputs(arm: Arm, i: int, drive: Drive) -> None:
     ends = [end for end in ("lower", "upper") if getattr(switches, end) == OWN_INPUT]
     has_home = drive.home is not None and drive.home.switch == "own"
     kind = arm.kind_of(drive)
+    if ends and switches.active != "high" and not kind.limits_are_levels:
+        expected = f'"high": the board of joint {drive.joint} says itself whether a switch is met (Motion Studio\'s "invert")'
+        raise Rejected(("drive", i, "limit_switches", "active"), expected, f'"{switches.active}"')
     if ends and len(ends) + has_home > kind.switch_inputs:
         raise Rejected(
             ("drive", i, "limit_switches", ends[-1]),

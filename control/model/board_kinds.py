@@ -43,6 +43,7 @@ class BoardKind:
     sent_bits_s: float = 0.0  # of what it sends unasked, at the rates that its page asks for
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
     has_limit_inputs: bool = False  # says of limit switches at its own inputs
+    limits_are_levels: bool = True  # it says their levels; else whether a switch is met, by its own settings
     switch_inputs: int = 1  # of each motor, for home and limit switches
 
 
@@ -73,6 +74,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             limits_current=True,
             highest_supply_V=34.0,
             has_limit_inputs=True,
+            limits_are_levels=False,
         ),
         "cia402": BoardKind(
             line="can",

@@ -329,6 +329,11 @@ def test_a_roboclaw_whose_pin_stops_the_motor_the_other_way_is_refused() -> None
     ("kind", "keys", "said"),
     [
         ("vesc", {"lower": "drive"}, r'\[\[digital\]\] that is an input .* "drive" is for: roboclaw, cia402; other boards: let'),
+        (
+            "roboclaw",
+            {"lower": "drive", "active": "low"},
+            'active.*: expected "high": the board of joint 3 says itself .* got "low"',
+        ),
         ("roboclaw", {"lower": "drive", "upper": "drive"}, "has one input for it: .* got the lower end and the upper end"),
     ],
 )
