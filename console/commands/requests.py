@@ -43,6 +43,8 @@ def _home(client: ArmClient, args: argparse.Namespace) -> str | None:
 
 def _wait(client: ArmClient, args: argparse.Namespace) -> None:
     if args.seconds is None:
+        if getattr(args, "connect", None) is not None and client.ask("mode")["mode"] == "PAUSED":
+            raise ArmError("wait: the motion is paused, and nobody but this script can resume it: write `resume` before")
         client.arrive(LONGEST_WAIT_S, RESTING)
         return
     if not 0.0 <= args.seconds <= LONGEST_WAIT_S:

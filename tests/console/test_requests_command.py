@@ -205,6 +205,14 @@ def test_a_script_s_line_shows_no_progress(cell: Cell) -> None:
     assert cell.client.on_wait is None
 
 
+def test_a_script_does_not_wait_for_a_motion_that_it_has_paused_itself(cell: Cell) -> None:
+    cell.start_move((0.4, -0.4, 0.6), 0.3)
+    cell.run(0.2)
+    cell.client.pause()
+    with pytest.raises(ArmError, match="write `resume` before"):
+        requests.REQUESTS["wait"](cell.client, argparse.Namespace(seconds=None, connect=lambda: cell.client))
+
+
 def test_a_wait_beyond_a_day_is_refused(cell: Cell) -> None:
     with pytest.raises(ArmError, match="0 to 86400 s"):
         requests.REQUESTS["wait"](cell.client, argparse.Namespace(seconds=1e6))
