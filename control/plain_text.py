@@ -6,6 +6,7 @@ Long tasks tell their progress to an `Advance`.
 from __future__ import annotations
 
 import codecs
+import itertools
 import re
 import shutil
 import sys
@@ -82,23 +83,50 @@ def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> s
 
 
 def folded(text: str, stream: TextIO) -> str:
-    """Text for `stream`: on a terminal, sentences that are wider than it are broken between words.
+    """Text for `stream`: on a terminal, sentences that are wider than it are broken between words, and tables between columns.
 
-    Rows of tables, which have gaps of several spaces, command lines, and commands in backticks stay whole, as they are copied.
+    Command lines, commands in backticks, and rows whose last column is text stay whole.
     """
     if not stream.isatty():
         return text
     width = shutil.get_terminal_size().columns
-    return "\n".join(_folded(line, width) for line in text.split("\n"))
+    lines: list[str] = []
+    for length, rows in itertools.groupby(text.split("\n"), key=lambda line: len(line) if "  " in line.strip() else 0):
+        if length:
+            lines += _in_parts(list(rows), width)
+        else:
+            lines += itertools.chain.from_iterable(_folded(line, width) for line in rows)
+    return "\n".join(lines)
 
 
-def _folded(line: str, width: int) -> str:
+def _folded(line: str, width: int) -> list[str]:
     indent = line[: len(line) - len(line.lstrip(" "))]
-    if len(line) <= width or "  " in line.strip() or line.strip().startswith("armwright "):
-        return line
+    is_under_columns = len(indent) > width // 2  # there is no room for words
+    if len(line) <= width or line.strip().startswith("armwright ") or is_under_columns:
+        return [line]
     whole = re.sub("`[^`]*`", lambda command: command[0].replace(" ", UNBROKEN), line)
     lines = textwrap.wrap(whole, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-    return "\n".join(lines).replace(UNBROKEN, " ")
+    return [part.replace(UNBROKEN, " ") for part in lines]
+
+
+def _in_parts(rows: Sequence[str], width: int) -> list[str]:
+    """Rows of one length under a header without figures, as of `aligned`: columns that are too many follow below, beside the
+    first one again.
+    """
+    if len(rows[0]) <= width or any(map(str.isdigit, rows[0])):
+        return list(rows)
+    starts = [
+        x
+        for x in range(2, len(rows[0]))
+        if all(row[x - 2 : x] == "  " for row in rows)
+        and any(row[x] != " " for row in rows)
+        and any(row[:x].strip() for row in rows)
+    ]
+    cut = max((x for x in starts if x - 2 <= width), default=0)
+    if len(rows) == 1 or cut <= min(starts, default=0):
+        return list(rows)
+    below = [row[: starts[0]] + row[cut:] for row in rows]
+    return [*(row[:cut].rstrip() for row in rows), "", *(row.rstrip() for row in _in_parts(below, width))]
 
 
 def listed(names: Sequence[str]) -> str:

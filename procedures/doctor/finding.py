@@ -1,5 +1,6 @@
 """One line of the doctor: subject, measured value, expected value, remedy."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -53,17 +54,16 @@ def worst(findings: Sequence[Finding]) -> Level:
 
 def as_text(findings: Sequence[Finding]) -> str:
     """A line for each finding, and a second one with the remedy if there is one."""
-    width = max((len(finding.what) for finding in findings), default=0)
     lines = []
-    group = ""
-    for finding in findings:
-        if finding.group != group:
-            group = finding.group
-            lines.append(f"{group}")
-        expected = f"  (expected {finding.expected})" if finding.expected else ""
-        lines.append(f"  {finding.level.name.lower():<4}  {finding.what:<{width}}  {finding.measured}{expected}")
-        if finding.remedy:
-            lines.append(f"        {'':<{width}}  -> {finding.remedy}")
+    for group, grouped in itertools.groupby(findings, key=lambda finding: finding.group):
+        of_group = list(grouped)
+        width = max(len(finding.what) for finding in of_group)  # a board's name may hold a long port
+        lines.append(group)
+        for finding in of_group:
+            expected = f"  (expected {finding.expected})" if finding.expected else ""
+            lines.append(f"  {finding.level.name.lower():<4}  {finding.what:<{width}}  {finding.measured}{expected}")
+            if finding.remedy:
+                lines.append(f"        -> {finding.remedy}")
     return "\n".join(lines)
 
 

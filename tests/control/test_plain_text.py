@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from control.plain_text import HANDLER, IN_ASCII, folded, prepare_streams
+from control.plain_text import HANDLER, IN_ASCII, aligned, folded, prepare_streams
 
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 ROOT = Path(__file__).parents[2]
@@ -106,3 +106,21 @@ def test_a_terminal_gets_sentences_broken_between_words_and_tables_and_commands_
         "short",
     ]
     assert folded(text, Terminal()).endswith("short\n")
+
+
+def test_a_table_that_is_wider_than_the_terminal_goes_on_below_beside_its_first_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "20")
+    table = aligned([("joint", "angle", "speed", "a count"), ("1", "0.1", "-20.5", "7"), ("2", "0.25", "3", "")])
+    assert folded(f"arm\n{table}\nat rest", Terminal()).splitlines() == [
+        "arm",
+        "joint  angle  speed",
+        "1        0.1  -20.5",
+        "2       0.25      3",
+        "",
+        "joint  a count",
+        "1            7",
+        "2",
+        "at rest",
+    ]
+    by_text = "  ok  disk    365 MB/s, more than it needs\n  ok  room    365 GB/d, more than it needs\n              -> others\n"
+    assert folded(by_text, Terminal()) == by_text

@@ -85,6 +85,20 @@ def test_a_good_arm_is_well_and_every_quantity_was_looked_at() -> None:
         assert quantity in looked_at
 
 
+def test_a_long_name_widens_its_own_group_alone_and_remedies_have_the_whole_line() -> None:
+    findings = [
+        Finding(Level.WARN, "host", "kernel", "without PREEMPT_RT", "PREEMPT_RT", "install one"),
+        Finding(Level.OK, "boards", "board on /dev/serial/by-id/usb-a-long-name", "there"),
+    ]
+    assert as_text(findings).splitlines() == [
+        "host",
+        "  warn  kernel  without PREEMPT_RT  (expected PREEMPT_RT)",
+        "        -> install one",
+        "boards",
+        "  ok    board on /dev/serial/by-id/usb-a-long-name  there",
+    ]
+
+
 def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
     with open_rig() as (rig, arm):
         before = rig.joint_rad()
