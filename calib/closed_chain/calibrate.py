@@ -104,8 +104,7 @@ def choose_contacts(problem: PairProblem, count: int, noise_m: float) -> list[in
     known = determinability(problem.sensitivity(x), problem.parameters)
     rows = problem.of_contacts(x)[1] @ known.basis / noise_m
     rank = known.rank
-    free = frozen(np.eye(rank))
-    experiment = Experiment((), frozen(known.basis), free, frozen(rows), frozen(np.zeros((1, 3, rank))), False, free)
+    experiment = Experiment((), frozen(known.basis), frozen(np.eye(rank)), frozen(rows), frozen(np.zeros((1, 3, rank))), False)
     everything = np.arange(len(problem.contacts))
     return select(experiment, criterion_of("D"), np.zeros(0, dtype=np.intp), [Group("contacts", everything, count)])
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.arm_model import Parameter, dh_names, prior_sd
+from calib.arm_problem.arm_model import Parameter, dh_names
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import cross_matrix
 from calib.arm_problem.posed import TARGET_NAMES, PosedProblem
@@ -27,9 +27,8 @@ from control.model.arm import Arm
 # Information of each pose on the parameters, and the uncertainty after measuring some of them.
 #
 # Linear theory at the nominal arm: a pose with Jacobian J (3, k), in scaled unknowns and standard
-# deviations of the noise, adds J'J to the information M. M begins with what is known before: how exactly a part
-# is made, where the arm's [tolerances] say it; else 1 per unknown, a weak prior: each deviation is somewhere within
-# its bound. Unknown poses of boards and base are also identified, but are
+# deviations of the noise, adds J'J to the information M. M begins with 1 per unknown, a weak prior: each
+# deviation is somewhere within its bound. Unknown poses of boards and base are also identified, but are
 # nuisance parameters: only the information left for the arm after eliminating them counts (the Schur
 # complement; Ds-optimality, Atkinson and Donev, Optimum Experimental Designs, 1992).
 
@@ -42,7 +41,7 @@ class Experiment:
     parameters and s unknowns of boards and base, in standard deviations of the noise. `basis` (k, r) are the combinations:
     those that move a tip anywhere in the workspace, or in some pose. `visible` (r, v): those of them that the poses can
     determine together. `workspace` (w, 3, r) [m]: derivatives of tips over the workspace by the combinations; if nothing
-    relates the base to a known place (`is_tied`), without rigid motions. `prior` (r + s, r + s): the information before any pose.
+    relates the base to a known place (`is_tied`), without rigid motions.
     """
 
     parameters: tuple[Parameter, ...]
@@ -51,7 +50,6 @@ class Experiment:
     rows: Array
     workspace: Array
     is_tied: bool
-    prior: Array
 
     @property
     def rank(self) -> int:
@@ -71,7 +69,7 @@ class Experiment:
     def information(self, chosen: Rows | list[int]) -> Array:
         """M (r + s, r + s) of the poses chosen, and the prior."""
         flat = self.rows[chosen].reshape(-1, self.rows.shape[2])
-        return np.asarray(self.prior + flat.T @ flat)
+        return np.asarray(np.eye(self.rows.shape[2]) + flat.T @ flat)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +108,6 @@ def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, c
     everything = shown + np.einsum("wik,wil->kl", workspace, workspace) / noise_m**2
     basis = _seen(everything, float(np.linalg.norm(everything[np.ix_(scale, scale)], 2)))
     visible = _seen(basis.T @ shown @ basis, float(np.linalg.norm(shown[np.ix_(scale, scale)], 2)))
-    prior = np.eye(basis.shape[1] + int(is_place.sum()))
-    prior[: basis.shape[1], : basis.shape[1]] = np.linalg.inv(basis.T @ (prior_sd(parameters, 1.0, 1.0)[:, None] ** 2 * basis))
     return Experiment(
         parameters=parameters,
         basis=frozen(basis),
@@ -119,7 +115,6 @@ def experiment_of(arm: Arm, poses: Points, workspace_q: Array, noise_m: float, c
         rows=frozen(np.concatenate((rows[:, :, ~is_place] @ basis, rows[:, :, is_place]), axis=2)),
         workspace=frozen(workspace @ basis),
         is_tied=bool(tied.any()),
-        prior=frozen(prior),
     )
 
 
@@ -129,13 +124,13 @@ def uncertainty_of(experiment: Experiment, chosen: Rows | list[int]) -> Uncertai
     information = experiment.information(chosen)
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)[:r, :r]
     squares = np.einsum("wik,kl,wil->w", experiment.workspace, covariance, experiment.workspace)
-    shown = _without_places(information - experiment.prior, r)
+    shown = _without_places(information - np.eye(len(information)), r)
     values = np.linalg.eigvalsh(experiment.visible.T @ shown @ experiment.visible)
     singular = np.sqrt(np.where(values > RANK_TOLERANCE**2 * _yardstick(experiment, shown), values, 0.0))
     name, sd, unit = _least_known(experiment, covariance)
     return Uncertainty(
         points_count=len(chosen),
-        log_det=0.0 - float(np.linalg.slogdet(experiment.prior[:r, :r] @ covariance)[1]),
+        log_det=0.0 - float(np.linalg.slogdet(covariance)[1]),
         indices=indices_of(singular, len(chosen)),
         tip_m=float(np.sqrt(np.mean(squares))),
         tip_worst_m=float(np.sqrt(np.max(squares))),

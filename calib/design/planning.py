@@ -327,7 +327,7 @@ def kind(setup: str, count: int) -> str:
 
 def _gain(plan: Plan) -> str:
     before, after = plan.before, plan.after
-    start = length(before.tip_m) if before.points_count else f"{length(before.tip_m)} (no pose yet)"
+    start = length(before.tip_m) if before.points_count else f"{length(before.tip_m)} (bounds only)"
     return (
         f"These {len(plan.poses)} poses reduce the tip's uncertainty over the workspace from {start} to"
         f" {length(after.tip_m)}, at the worst pose from {length(before.tip_worst_m)} to {length(after.tip_worst_m)}."
@@ -374,8 +374,8 @@ def _open(plan: Plan) -> list[str]:
     if rank >= total:
         return []
     return [
-        f"These poses determine {rank} of the {total} parameter combinations that move the tip; the others stay as uncertain"
-        " as their bounds or tolerances leave them."
+        f"These poses determine {rank} of the {total} parameter combinations that move the tip; the others keep their"
+        " bounds as uncertainty."
     ]
 
 

@@ -12,7 +12,6 @@ from calib.design.information import CRITERIA, NAMES, criterion_of, uncertainty_
 from calib.errors import CalibrationError
 from calib.identify.identification import identify
 from calib.identify.objective import LeastSquares
-from control.model.tolerances import ArmTolerances, LinkTolerances, Spread
 from tests.calib.design.experiments import UNKNOWN, WORKSPACE, drawn, experiment
 
 
@@ -78,19 +77,6 @@ def test_without_any_pose_parameters_are_known_by_their_bounds():
     assert nothing.rank == 0
     assert set(nothing.indices.as_dict()) == set(NAMES)
     assert nothing.least_known_sd <= np.radians(2.0) * (1 + 1e-9)
-
-
-def test_what_tolerances_say_is_known_before_any_pose():
-    exact = Spread(sd=1e-4)
-    made = ArmTolerances(every_link=LinkTolerances(d_m=exact, theta_rad=exact, L_m=exact, alpha_rad=exact))
-    arm = dataclasses.replace(ARM, tolerances=made)
-    usual, one = (experiment(each)[0] for each in (ARM, arm))
-    before, after = uncertainty_of(one, []), uncertainty_of(one, np.arange(40))
-    by_rows = np.sqrt(np.mean(np.sum((one.workspace @ one.basis.T / [p.scale for p in one.parameters]) ** 2, axis=(1, 2))))
-    assert before.tip_m == pytest.approx(1e-4 * by_rows, rel=1e-6)
-    assert (before.log_det, before.rank) == (pytest.approx(0.0, abs=1e-9), 0)
-    assert after.tip_m < before.tip_m < 0.1 * uncertainty_of(usual, []).tip_m
-    assert 0.0 < after.log_det < uncertainty_of(usual, np.arange(40)).log_det
 
 
 def test_fixed_parameters_and_own_bounds_are_those_of_the_identification():
