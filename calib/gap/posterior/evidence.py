@@ -4,12 +4,15 @@ The model is linear, y = geometry + C s + noise, s ~ N(0, V). With the geometry 
   ln Z = h' M h / 2 - ln det(I + V^1/2 G V^1/2) / 2,   M = V^1/2 (I + V^1/2 G V^1/2)^-1 V^1/2
 (MacKay, Information Theory, Inference, and Learning Algorithms, 2003, ch. 28), and a term beside S the same of what S leaves of
 its own G and h (a Schur complement). The tips' noise may be kappa times the floor: what a set leaves is then noise to it.
+Columns of prior variance nought, as the departures of an exact law, change neither and are left out. A search asks for the few
+terms that add most; so of each only a bound is reckoned first (`Offer.bounds`), and its scales where that is not below those few.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +24,8 @@ from calib.arrays import Array
 from calib.gap.posterior.constants import LAW_LEAST
 from calib.gap.posterior.term import Key, Term
 
+WIDER = 2  # times as many keys as are asked for are looked at before the bounds are compared with what these add
+ROUNDING = 1e-9  # of log evidence, by which a bound may be too small
 NEVER = -1e6  # log evidence of a play or a softness below nought, of departures without a law
 
 Places = npt.NDArray[np.intp]
@@ -53,11 +58,10 @@ class Gram:
     left: float
     freedom: float
 
-    def among(self, rows: Places, columns: Places | slice, kappa: float = 1.0) -> Array:
+    def among(self, rows: Places | slice, columns: Places | slice, kappa: float = 1.0) -> Array:
         """G of some columns with others, by tips whose noise is `kappa` times the floor and by currents; of all it is large."""
-        across = (rows, columns) if isinstance(columns, slice) else np.ix_(rows, columns)
-        seen = self.tip[across]
-        seen /= kappa**2
+        across = (rows, columns) if isinstance(rows, slice) or isinstance(columns, slice) else np.ix_(rows, columns)
+        seen = self.tip[across] / kappa**2
         if self.current is not None:
             seen += self.current[across]
         return np.asarray(seen)
@@ -75,19 +79,61 @@ class Gram:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Terms that have the same scales, sd (h, c): places (t, c), log weights (t, h), what a coefficient lies between (t, 1)."""
+    """Terms that have the same scales, sd (h, c): places (t, c), log weights (t, h), what a coefficient lies between (t, 1);
+    how many coefficients of the law are bounded together, and from below by what in sd, at each of the scales (h,).
+    """
 
     numbers: Array
     places: Array
     sd: Array
     weight: Array
-    laws: int
     is_positive: bool
     least: Array
     most: Array
-    is_name: bool
+    bounded: int
+    law_least: Array
     tip: Array
     current: Array | None
+
+    def only(self, rows: Places) -> Batch:
+        """Some of its terms."""
+        return dataclasses.replace(
+            self,
+            numbers=self.numbers[rows],
+            places=self.places[rows],
+            weight=self.weight[rows],
+            least=self.least[rows],
+            most=self.most[rows],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """All terms of c columns: numbers (t,), places (t, c), least and largest standard deviation of each column over all scales
+    (t, c), G of tips and of currents (t, c, c).
+    """
+
+    numbers: Places
+    places: Places
+    least: Array
+    most: Array
+    tip: Array
+    current: Array | None
+
+
+@dataclass(frozen=True, slots=True)
+class Inside:
+    """A set's own columns: places and prior standard deviations (k,), G and h of the whole and of these, and
+    I + V^1/2 G V^1/2 (k, k) at a noise of `kappa` times the floor.
+    """
+
+    whole: Gram
+    members: tuple[Member, ...]
+    kappa: float
+    at: Places
+    sd: Array
+    own: Gram
+    inner: Array
 
 
 class Evidence:
@@ -103,13 +149,25 @@ class Evidence:
         self.scales = [term.scales() for term in terms]
         share = [math.log(len(self.of_key[term.key])) for term in terms]
         self.weights = [logs - own for (_, logs), own in zip(self.scales, share, strict=True)]
-        self._starts = np.cumsum([0, *(len(numbers) for numbers in self.of_key.values())])
+        self._starts = np.cumsum([0, *(len(numbers) for numbers in self.of_key.values())])[:-1]
         self._by_key = np.concatenate([np.zeros(0, np.intp), *self.of_key.values()]).astype(np.intp)
         self._odds = np.array([terms[numbers[0]].log_odds for numbers in self.of_key.values()])
+        # of all scales together, with twice the density of what is positive
+        twice = [math.log(2.0) * term.is_positive for term in terms]
+        self._most = np.array([np.logaddexp.reduce(own) + more for own, more in zip(self.weights, twice, strict=True)])
         self._asked: dict[Key | None, tuple[list[Batch], Places | slice]] = {
             None: (self._batched(range(len(terms)))[0], slice(None))
         }
         self._asked |= {key: self._batched(numbers) for key, numbers in self.of_key.items()}
+        by_count: dict[int, list[int]] = {}
+        for k, term in enumerate(terms):
+            by_count.setdefault(term.count, []).append(k)
+        self._groups = [self._group(np.array(numbers)) for numbers in by_count.values()]
+        self._row = np.empty((2, len(terms)), np.intp)  # of each term its group and its row there
+        for number, group in enumerate(self._groups):
+            self._row[0, group.numbers], self._row[1, group.numbers] = number, np.arange(len(group.numbers))
+        self._acting: dict[Member, tuple[Places, Places, Array]] = {}
+        self._last: Inside | None = None
 
     def _batched(self, numbers: Sequence[int]) -> tuple[list[Batch], Places]:
         """Batches of some terms, and the columns that they need; places in a batch count within these."""
@@ -124,136 +182,208 @@ class Evidence:
 
     def _batch(self, numbers: list[int], within: Array) -> Batch:
         places, term = np.array([self.places[k] for k in numbers]), self.terms[numbers[0]]
+        # a departure is a share of the law: without the law there is none
+        departs = np.any(self.scales[numbers[0]][0][:, term.laws :] > 0.0, axis=1) & term.is_name
         across = places[:, :, None], places[:, None, :]
         return Batch(
             np.array(numbers),
             within[places],
             self.scales[numbers[0]][0],
             np.array([self.weights[k] for k in numbers]),
-            term.laws,
             term.is_positive,
             np.array([[self.terms[k].least] for k in numbers]),
             np.array([[self.terms[k].most] for k in numbers]),
-            term.is_name,
+            1 if term.is_positive else term.laws if departs.any() else 0,
+            np.where(departs, LAW_LEAST, -np.inf),
             self.gram.tip[across],
             None if self.gram.current is None else self.gram.current[across],
         )
 
+    def _group(self, numbers: Places) -> Group:
+        places = np.array([self.places[k] for k in numbers])
+        least, most = (np.array([extreme(self.scales[k][0], axis=0) for k in numbers]) for extreme in (np.min, np.max))
+        across = places[:, :, None], places[:, None, :]
+        current = None if self.gram.current is None else self.gram.current[across]
+        return Group(numbers, places, least, most, self.gram.tip[across], current)
+
+    def _acts(self, member: Member) -> tuple[Places, Places, Array]:
+        """A member's columns whose prior standard deviation is not nought: which of its own, their places, and that deviation."""
+        if member not in self._acting:
+            number, scale = member
+            sd = self.scales[number][0][scale]
+            own = np.flatnonzero(sd)
+            self._acting[member] = own, self.places[number][own], sd[own]
+        return self._acting[member]
+
     def _columns(self, members: Sequence[Member]) -> tuple[Places, Array]:
-        """Places and prior standard deviations of a set's columns."""
+        """Places and prior standard deviations of a set's columns that may be something."""
         if not members:
             return np.zeros(0, np.intp), np.zeros(0)
-        at = np.concatenate([self.places[k] for k, _ in members])
-        return at, np.concatenate([self.scales[k][0][h] for k, h in members])
+        _, places, sd = zip(*map(self._acts, members), strict=True)
+        return np.concatenate(places), np.concatenate(sd)
 
-    def _inner(self, at: Places, sd: Array, kappa: float) -> Array:
-        """Cholesky factor of I + V^1/2 G V^1/2."""
-        return np.asarray(np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd))
+    def _inside(self, members: tuple[Member, ...], kappa: float) -> Inside:
+        """A set's own columns; the last set's are kept, as it is asked for one member after the other, and G is too large for a
+        processor's cache.
+        """
+        last = self._last
+        if last is None or last.whole is not self.gram or last.members != members:
+            at, sd = self._columns(members)
+            own = self.gram.of(at)
+        elif last.kappa == kappa:
+            return last
+        else:
+            at, sd, own = last.at, last.sd, last.own
+        inner = self._inner(own.among(slice(None), slice(None), kappa), sd)
+        self._last = Inside(self.gram, members, kappa, at, sd, own, inner)
+        return self._last
+
+    def _inner(self, seen: Array, sd: Array) -> Array:
+        """I + V^1/2 G V^1/2, from G (k, k), which is overwritten."""
+        seen *= sd[:, None]
+        seen *= sd
+        seen.flat[:: len(sd) + 1] += 1.0
+        return seen
 
     def taken(self, at: Places, sd: Array, others: Places | slice, kappa: float) -> Array:
         """What columns at places (k,) of prior deviations (k,) take of G and h of some others, (k, p + 1): T with T'T of it.
 
         Schur's complement, which is what they leave, is G - T'T and h - T't, t the last column.
         """
+        return self._taken(_root(self._inner(self.gram.among(at, at, kappa), sd)), at, sd, others, kappa)
+
+    def _taken(self, root: Array, at: Places, sd: Array, others: Places | slice, kappa: float) -> Array:
+        """The same with Cholesky's factor of I + V^1/2 G V^1/2."""
         if not len(at):
             return np.zeros((0, len(self.gram.pull[others]) + 1))
         both = np.column_stack((self.gram.among(at, others, kappa), self.gram.drawn(at, kappa)))
         both *= sd[:, None]
-        return np.asarray(solve_triangular(self._inner(at, sd, kappa), both, lower=True, overwrite_b=True, check_finite=False))
+        return np.asarray(solve_triangular(root, both, lower=True, overwrite_b=True, check_finite=False))
 
-    def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
-        """What every term (or only those of a key) would add to a set."""
-        batches, left, pull, _ = self._left(members, kappa, key)
+    def added(self, members: Sequence[Member], kappa: float) -> Added:
+        """What every term would add to a set."""
+        return self.offer(members, kappa).added(range(len(self.terms)))
+
+    def added_in_place(self, members: Sequence[Member], place: int, kappa: float) -> Added:
+        """What the terms of a member's key would add to the others of its set."""
+        inside = self._inside(tuple(members), kappa)
+        first = sum(len(self._acts(member)[0]) for member in members[:place])
+        last = first + len(self._acts(members[place])[0])
+        beside = np.concatenate((np.arange(first), np.arange(last, len(inside.at))))
+        batches, asked = self._asked[self.terms[members[place][0]].key]
+        root = _root(inside.inner[np.ix_(beside, beside)])
+        both = self._taken(root, inside.at[beside], inside.sd[beside], asked, kappa)
+        factor = np.ascontiguousarray(both[:, :-1].T)
+        pull = self.gram.drawn(asked, kappa) - factor @ both[:, -1]
+        left = [_left(batch, factor[batch.places], kappa) for batch in batches]
         return self._added(batches, left, pull)
 
-    def added_without_each(self, members: Sequence[Member], kappa: float) -> Iterator[Added]:
-        """What every term would add to a set without one of its members, in turn.
+    def offer(self, members: Sequence[Member], kappa: float) -> Offer:
+        """What terms would add to a set, as it is asked for."""
+        both = self.taken(*self._columns(members), slice(None), kappa)
+        factor = np.ascontiguousarray(both[:, :-1].T)
+        left = [_left(group, factor[group.places], kappa) for group in self._groups]
+        return Offer(self, left, self.gram.drawn(slice(None), kappa) - factor @ both[:, -1])
+
+    def offers_without_each(self, members: Sequence[Member], kappa: float) -> Iterator[Offer]:
+        """What terms would add to a set without one of its members, in turn.
 
         With A = I + V^1/2 G V^1/2 of the set and B its rows of all columns, V^1/2 G, the set takes B' A^-1 B of these; without
         the columns c of a member that is less by W_c' ((A^-1)_cc)^-1 W_c, W = A^-1 B (the inverse of a partitioned matrix).
         """
-        batches, left, pull, both = self._left(members, kappa)
-        root, first = np.linalg.inv(self._inner(*self._columns(members), kappa)), 0
-        for number, _ in members:
-            own = root[first:, first : first + len(self.places[number])]  # A^-1 = root' root, and root is lower
+        inside, whole = self._inside(tuple(members), kappa), self.offer(members, kappa)
+        factor = _root(inside.inner)
+        both = self._taken(factor, inside.at, inside.sd, slice(None), kappa)
+        root, first = solve_triangular(factor, np.eye(len(inside.at)), lower=True, check_finite=False), 0
+        for member in members:
+            own = root[first:, first : first + len(self._acts(member)[0])]  # A^-1 = root' root, and root is lower
             returned = np.linalg.solve(np.linalg.cholesky(own.T @ own), own.T @ both[first:]).T
             first += own.shape[1]
-            parts = [returned[batch.places] for batch in batches]
-            seen = [of_set + part @ part.transpose(0, 2, 1) for of_set, part in zip(left, parts, strict=True)]
-            yield self._added(batches, seen, pull + returned[:-1] @ returned[-1])
-
-    def _left(
-        self, members: Sequence[Member], kappa: float, key: Key | None = None
-    ) -> tuple[list[Batch], list[Array], Array, Array]:
-        """What a set leaves of all terms, or of those of a key: G of each batch (t, c, c) and h; and T of `taken`."""
-        at, sd = self._columns(members)
-        batches, asked = self._asked[key]
-        both = self.taken(at, sd, asked, kappa)
-        factor, left = np.ascontiguousarray(both[:, :-1].T), []
-        for batch in batches:
-            seen = batch.tip / kappa**2
-            if batch.current is not None:
-                seen += batch.current
-            if factor.size:
-                part = factor[batch.places]  # (t, c, k)
-                seen -= part @ part.transpose(0, 2, 1)
-            left.append(seen)
-        return batches, left, self.gram.drawn(asked, kappa) - factor @ both[:, -1], both
+            parts = [returned[group.places] for group in self._groups]
+            left = [of_set + part @ part.transpose(0, 2, 1) for of_set, part in zip(whole.left, parts, strict=True)]
+            yield Offer(self, left, whole.pull + returned[:-1] @ returned[-1])
 
     def _added(self, batches: Sequence[Batch], left: Sequence[Array], pull: Array) -> Added:
         found = [self._of_batch(batch, seen, pull[batch.places]) for batch, seen in zip(batches, left, strict=True)]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
 
-    def gains(self, added: Added) -> list[float]:
-        """What each key, in the order of `of_key`, adds to the log posterior: its prior and all of its variants."""
-        log = added.log[self._by_key]
-        top = np.maximum.reduceat(log, self._starts[:-1])
-        spread = np.add.reduceat(np.exp(log - np.repeat(top, np.diff(self._starts))), self._starts[:-1])
-        gains: list[float] = (top + np.log(spread) + self._odds).tolist()
-        return gains
+    def added_of(self, left: Sequence[Array], pull: Array, numbers: Sequence[int] | Places) -> Added:
+        """What some terms add, from the G that a set leaves of each group (t, c, c) and the h of all columns (p,)."""
+        is_asked = np.zeros(len(self.terms), dtype=bool)
+        is_asked[numbers] = True
+        batches = [batch.only(rows) for batch in self._asked[None][0] if len(rows := np.flatnonzero(is_asked[batch.numbers]))]
+        group, row = self._row
+        seen = [left[group[batch.numbers[0]]][row[batch.numbers]] for batch in batches]
+        return self._added(batches, seen, pull)
+
+    def bounds(self, left: Sequence[Array], pull: Array) -> Array:
+        """What each key, in the order of `of_key`, adds to the log posterior at most, from what a set leaves.
+
+        Of a term h' (G + V^-1)^-1 h / 2 grows with V and ln det(I + V^1/2 G V^1/2) >= ln(1 + tr V G) does, too: the one at its
+        largest scales less half the other at its least is more than any of its scales adds, but for twice the density of what
+        is known to be positive.
+        """
+        log = np.empty(len(self.terms))
+        for group, seen in zip(self._groups, left, strict=True):
+            drawn = pull[group.places] * group.most
+            inner = group.most[:, :, None] * seen * group.most[:, None, :]
+            at = np.arange(inner.shape[1])
+            inner[:, at, at] += 1.0
+            chi_square = np.sum(drawn * np.linalg.solve(inner, drawn[:, :, None])[:, :, 0], axis=1)
+            trace = np.sum(np.maximum(seen[:, at, at], 0.0) * group.least**2, axis=1)
+            log[group.numbers] = 0.5 * (chi_square - np.log1p(trace))
+        log += self._most
+        bounds = np.logaddexp.reduceat(log[self._by_key], self._starts) + self._odds
+        return np.asarray(bounds + ROUNDING * np.max(np.abs(log)))
 
     def _of_batch(self, batch: Batch, seen: Array, pull: Array) -> tuple[Array, Array, Array, Array]:
         """Of terms with G (t, c, c) and h (t, c): the log evidence that each adds, the best of its scales, what that one alone
         adds, and the part of bounds in that.
         """
         sd = batch.sd
-        law_sizes, width, log = _estimates(seen, pull, sd, batch.laws)
+        law_sizes, width, log = _estimates(seen, pull, sd, batch.bounded)
+        log += batch.weight
         bound = np.zeros(log.shape)
-        # sizes are counted in sd here; a departure is a share of the law: without the law there is none
-        least = np.where(np.any(sd[:, batch.laws :] > 0.0, axis=1) & batch.is_name, LAW_LEAST, -np.inf)
-        law = np.linalg.norm(law_sizes, axis=2)
         if batch.is_positive:
-            law, own_least, most = law_sizes[..., 0], batch.least / sd[:, 0], batch.most / sd[:, 0]
-            least = np.maximum(least, own_least)
+            law, least, most = law_sizes[..., 0], batch.least / sd[:, 0], batch.most / sd[:, 0]
             # what is known to be positive is so with twice the density; a secant says nothing beyond its reach
-            is_beyond = np.isfinite(most) & ((law <= own_least) | (law >= most))
-            bound = math.log(2.0) + log_ndtr((most - law) / width) + np.where(is_beyond, NEVER, 0.0)
-        bound = bound + log_ndtr((law - least) / width)
-        log = log + batch.weight + bound
-        best = np.argmax(log, axis=1)
-        top, of_bound = (np.take_along_axis(own, best[:, None], axis=1)[:, 0] for own in (log, bound))
-        return top + np.log(np.sum(np.exp(log - top[:, None]), axis=1)), best, top, of_bound
+            is_beyond = np.isfinite(most) & ((law <= least) | (law >= most))
+            bound += math.log(2.0) + log_ndtr((most - law) / width) + np.where(is_beyond, NEVER, 0.0)
+            bound += log_ndtr((law - np.maximum(least, batch.law_least)) / width)
+        elif batch.bounded:
+            bound += log_ndtr((np.sqrt((law_sizes**2).sum(axis=2)) - batch.law_least) / width)
+        log += bound
+        best, rows = log.argmax(axis=1), np.arange(len(log))
+        top = log[rows, best]
+        return top + np.log(np.exp(log - top[:, None]).sum(axis=1)), best, top, bound[rows, best]
 
     def value(self, members: Sequence[Member], kappa: float) -> float:
         """Ln Z of a set over nothing at the floor, the priors of its scales and of kappa included, without bounds of laws."""
-        at, sd = self._columns(members)
-        gram = self.gram
+        inside, gram = self._inside(tuple(members), kappa), self.gram
         total = -gram.freedom * math.log(kappa) - 0.5 * gram.left * (kappa**-2 - 1.0) + self.log_inflation(kappa)
-        if len(at):
-            inner = self._inner(at, sd, kappa)
-            half = np.linalg.solve(inner, sd * gram.drawn(at, kappa))
-            total += 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(inner))))
+        if members:
+            root = _root(inside.inner)
+            half = solve_triangular(root, inside.sd * inside.own.drawn(slice(None), kappa), lower=True, check_finite=False)
+            total += 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(root))))
             total += sum(float(self.weights[k][h]) for k, h in members)
         return float(total)
 
     def estimate(self, members: Sequence[Member], kappa: float) -> tuple[Array, Array]:
         """Coefficients of all columns of a set, in usual sizes, and their covariance."""
-        at, sd = self._columns(members)
-        if not len(at):
+        ends = np.cumsum([0, *(len(self.places[k]) for k, _ in members)]).tolist()
+        size, covariance = np.zeros(ends[-1]), np.zeros((ends[-1], ends[-1]))
+        if members:
+            acting = np.concatenate([first + self._acts(member)[0] for first, member in zip(ends, members, strict=False)])
+            size[acting], covariance[np.ix_(acting, acting)] = self._posterior(self._inside(tuple(members), kappa))
+        return size, covariance
+
+    def _posterior(self, inside: Inside) -> tuple[Array, Array]:
+        """Coefficients of a set's columns that may be something, and their covariance."""
+        if not len(inside.at):
             return np.zeros(0), np.zeros((0, 0))
-        inner = np.linalg.inv(self._inner(at, sd, kappa))
-        covariance = sd[:, None] * (inner.T @ inner) * sd
-        return np.asarray(covariance @ self.gram.drawn(at, kappa)), covariance
+        root = solve_triangular(_root(inside.inner), np.diag(inside.sd), lower=True, overwrite_b=True, check_finite=False)
+        covariance = np.asarray(root.T @ root)
+        return np.asarray(covariance @ inside.own.drawn(slice(None), inside.kappa)), covariance
 
     def sizes(self, weighed: Weighed) -> dict[int, Array]:
         """Coefficients (c,) of each term of a set by number, in usual sizes."""
@@ -267,11 +397,10 @@ class Evidence:
 
         A set that fits few poses too well would else call nothing noise.
         """
-        at, _ = self._columns(members)
-        size, covariance = self.estimate(members, kappa)
-        seen = self.gram.tip[np.ix_(at, at)]
-        chi_square = self.gram.left - 2.0 * float(size @ self.gram.pull[at]) + float(size @ seen @ size)
-        used = float(np.sum(covariance * seen)) / kappa**2
+        inside = self._inside(tuple(members), kappa)
+        (size, covariance), own = self._posterior(inside), inside.own
+        chi_square = self.gram.left - 2.0 * float(size @ own.pull) + float(size @ own.tip @ size)
+        used = float(np.sum(covariance * own.tip)) / kappa**2
         free = max(self.gram.freedom - used, 1.0)
         wanted = 0.5 * math.log(max(chi_square, 1e-12) / free)
         held = 1.0 / (1.0 + 1.0 / (2.0 * free * self.doubt**2))
@@ -285,8 +414,23 @@ class Evidence:
         return float(np.logaddexp(near, -wanted if wanted > 0.0 else -np.inf))
 
 
+def _root(inner: Array) -> Array:
+    """Cholesky's factor."""
+    return np.asarray(np.linalg.cholesky(inner))
+
+
+def _left(of: Batch | Group, taken: Array, kappa: float) -> Array:
+    """What a set leaves of the terms' own G (t, c, c), of which it takes (t, c, k)."""
+    seen = of.tip / kappa**2
+    if of.current is not None:
+        seen += of.current
+    if taken.size:
+        seen -= taken @ taken.transpose(0, 2, 1)
+    return np.asarray(seen)
+
+
 def _estimates(seen: Array, pull: Array, sd: Array, laws: int) -> tuple[Array, Array, Array]:
-    """Of terms (t,) with G (t, c, c) and h (t, c), at each of their scales sd (h, c): the coefficients of the laws (t, h, laws)
+    """Of terms (t,) with G (t, c, c) and h (t, c), at each of their scales sd (h, c): the first coefficients (t, h, laws)
     and the standard deviation of the first (t, h), in sd, and ln Z (t, h).
 
     With A = I + V^1/2 G V^1/2 and b = V^1/2 h, the bordered matrix [A b; b' m] has Cholesky's factor [L 0; z' .], L z = b, for
@@ -303,15 +447,15 @@ def _estimates(seen: Array, pull: Array, sd: Array, laws: int) -> tuple[Array, A
     np.multiply(seen[:, None, ::-1, ::-1], back[:, :, None] * back[:, None, :], out=bordered[..., :-1, :-1])
     bordered[..., :-1, :-1] += np.eye(count)
     drawn = np.multiply(pull[:, None, ::-1], back, out=bordered[..., -1, :-1])
-    bordered[..., -1, -1] = 1.0 + np.sum(drawn**2, axis=2)
+    bordered[..., -1, -1] = 1.0 + (drawn**2).sum(axis=2)
     root = np.linalg.cholesky(bordered)  # of the lower triangle alone
     solved, diagonal = root[..., -1, :-1], np.diagonal(root, axis1=2, axis2=3)[..., :-1]
     size = np.empty((terms, len(sd), laws))
     for k in range(laws):
         at = count - 1 - k
-        known = np.sum(root[..., at + 1 : -1, at] * size[..., :k][..., ::-1], axis=2)
+        known = (root[..., at + 1 : -1, at] * size[..., :k][..., ::-1]).sum(axis=2)
         size[..., k] = (solved[..., at] - known) / diagonal[..., at]
-    return size, 1.0 / diagonal[..., -1], 0.5 * np.sum(solved**2, axis=2) - np.sum(np.log(diagonal), axis=2)
+    return size, 1.0 / diagonal[..., -1], 0.5 * (solved**2).sum(axis=2) - np.log(diagonal).sum(axis=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,3 +476,44 @@ class Added:
         for own, (log, best, top, bound) in zip(numbers, added, strict=True):
             whole.log[own], whole.best[own], whole.top[own], whole.bound[own] = log, best, top, bound
         return whole
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What terms would add to a set: G that it leaves of each group of terms (t, c, c), and h of all columns (p,)."""
+
+    evidence: Evidence
+    left: list[Array]
+    pull: Array
+
+    def added(self, numbers: Sequence[int] | Places) -> Added:
+        """What terms by number add."""
+        return self.evidence.added_of(self.left, self.pull, numbers)
+
+    def largest(self, keys: Collection[Key], width: int, least: float) -> list[tuple[Key, Member, float]]:
+        """Of the keys those that add most to the log posterior and more than `least`, best first: in their best variant and
+        scale, with what they add.
+        """
+        evidence = self.evidence
+        places = np.array([place for place, key in enumerate(evidence.of_key) if key in keys], np.intp)
+        bounds = evidence.bounds(self.left, self.pull)[places]
+        first = np.argsort(-bounds)[: WIDER * width]
+        found = self._exact(places[first[bounds[first] > least]])
+        threshold = max([least, *sorted((gain for _, _, gain in found), reverse=True)[width - 1 : width]])
+        rest = np.setdiff1d(np.flatnonzero(bounds > threshold), first)
+        found += self._exact(places[rest])
+        found = [one for one in found if one[2] > least]
+        return sorted(found, key=lambda one: (one[2], evidence.of_key[one[0]]), reverse=True)[:width]
+
+    def _exact(self, places: Places) -> list[tuple[Key, Member, float]]:
+        """Of keys by their place among all."""
+        if not len(places):
+            return []
+        evidence, keys = self.evidence, list(self.evidence.of_key)
+        numbers = [evidence.of_key[keys[place]] for place in places.tolist()]
+        added, found = self.added([number for own in numbers for number in own]), []
+        for place, own in zip(places.tolist(), numbers, strict=True):
+            number = own[int(np.argmax(added.log[own]))]
+            gain = float(np.logaddexp.reduce(added.log[own])) + evidence.terms[number].log_odds
+            found.append((keys[place], (number, int(added.best[number])), gain))
+        return found

@@ -6,20 +6,20 @@ The log posterior of a set S of keys, each in its best variant and scales, with 
                 + sum over S of ln (p / (1 - p)),   p the prior of a name or a block,
 with ln Z of `evidence.py` (the weights of scales in it): a friction that drives is none, whatever it explains. Variants and
 scales are polished one member at a time, kappa after each round (coordinate ascent); a set is weighed once, whatever way leads
-to it. What one key more would add is known for all keys at once from the Schur complement of `Evidence.added`, so that only the
+to it. What one key more would add is known for all keys at once from the Schur complement of `Evidence.offer`, so that only the
 few that add most are weighed.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Collection, Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.evidence import Added, Evidence, Member, Weighed
+from calib.gap.posterior.constants import REMAINS
+from calib.gap.posterior.evidence import Evidence, Member, Offer, Weighed
 from calib.gap.posterior.term import Key, Traits
 
 GROWTH = 2  # terms that are tried beside a set that still grows
@@ -83,7 +83,7 @@ class Search:
         regrown = self.weigh([member for member in best.members if member[0] != block])
         for _ in range(REGROWTH):
             before = set(self.seen)
-            for members in self._larger(regrown.members, self.evidence.added(regrown.members, regrown.kappa), 1, but, 0.0):
+            for members in self._larger(regrown.members, self.evidence.offer(regrown.members, regrown.kappa), 1, but, 0.0):
                 self.weigh(members)
             new = [weighed for keys, weighed in self.seen.items() if keys not in before]
             more = max(new, key=lambda weighed: weighed.log, default=None)
@@ -114,7 +114,7 @@ class Search:
 
     def _expand(self, weighed: Weighed) -> None:
         """Weigh what is one term more, and, where nothing more pays, what is one less or one other."""
-        larger = self._larger(weighed.members, self.evidence.added(weighed.members, weighed.kappa), WIDTH)
+        larger = self._larger(weighed.members, self.evidence.offer(weighed.members, weighed.kappa), WIDTH)
         for members in larger[:GROWTH]:
             self.weigh(members)
         if max(rival.log for rival in self.seen.values()) > weighed.log + 1.0:
@@ -122,40 +122,30 @@ class Search:
         for members in larger[GROWTH:]:
             self.weigh(members)
         is_best = weighed.log >= max(rival.log for rival in self.seen.values()) - EXCHANGED
-        without = self.evidence.added_without_each(weighed.members, weighed.kappa) if is_best else [None] * len(weighed.members)
-        for member, gain, added in zip(weighed.members, weighed.gains, without, strict=True):
+        without = self.evidence.offers_without_each(weighed.members, weighed.kappa) if is_best else [None] * len(weighed.members)
+        for member, gain, offer in zip(weighed.members, weighed.gains, without, strict=True):
             key = self.evidence.terms[member[0]].key
             if key in self.forced:
                 continue
             rest = [present for present in weighed.members if present is not member]
             if gain < 2.0 * WINDOW:
                 self.weigh(rest)
-            if added is not None:
-                for members in self._larger(rest, added, EXCHANGES, key, gain - 2.0 * WINDOW):
+            if offer is not None:
+                for members in self._larger(rest, offer, EXCHANGES, key, gain - 2.0 * WINDOW):
                     self.weigh(members)
 
     def _larger(
-        self, members: Sequence[Member], added: Added, width: int, but: Key | None = None, least: float = GAIN_LEAST
+        self, members: Sequence[Member], offer: Offer, width: int, but: Key | None = None, least: float = GAIN_LEAST
     ) -> list[list[Member]]:
-        """A set with one term more, of those that add most, best first. `added`: what each would add."""
+        """A set with one term more, of those that add most, best first. `offer`: what each would add."""
         present = self.keys(members)
         blocks_count = sum(not isinstance(key, EffectName) for key in present)
-        gains = {
-            key: gain
-            for key, gain in zip(self.evidence.of_key, self.evidence.gains(added), strict=True)
-            if key not in present and key != but and self.may_join(key, present)
-        }
+        open_ = {key for key in self.evidence.of_key if key not in present and key != but and self.may_join(key, present)}
         if blocks_count >= BLOCKS_MOST:  # no further name where a block would explain more
-            blocks = [gain for key, gain in gains.items() if not isinstance(key, EffectName)]
-            least = max(least, *blocks) if blocks else least
-        of_key = self.evidence.of_key
-        larger = []
-        for key in heapq.nlargest(width, gains, lambda key: (gains[key], of_key[key])):
-            if gains[key] > least:
-                numbers = of_key[key]
-                number = numbers[int(np.argmax(added.log[numbers]))]
-                larger.append([*members, (number, int(added.best[number]))])
-        return larger
+            blocks = {key for key in open_ if not isinstance(key, EffectName)}
+            least = max([least, *(gain for _, _, gain in offer.largest(blocks, 1, least))])
+            open_ -= blocks
+        return [[*members, member] for _, member, _ in offer.largest(open_, width, least)]
 
     def weigh(self, members: Sequence[Member]) -> Weighed:
         """The best variants and scales of a set, one member after the other, and the noise that it leaves."""
@@ -169,9 +159,8 @@ class Search:
             before = tuple(current), kappa
             beyond, gains = 0.0, []
             for place in range(len(current)):
-                rest = [*current[:place], *current[place + 1 :]]
                 key = evidence.terms[current[place][0]].key
-                added = evidence.added(rest, kappa, key)
+                added = evidence.added_in_place(current, place, kappa)
                 number = int(np.argmax(added.top))
                 current[place] = number, int(added.best[number])
                 numbers = evidence.of_key[key]
@@ -188,15 +177,20 @@ class Search:
 
 
 class MergingSearch(Search):
-    """The search with one more step, two members make room for one other; without keys that are `barred`.
+    """The search with one more step, two members make room for one other; without keys that are barred.
 
     Friction laws of a joint look alike: two wrong ones that grew first (viscous, and Coulomb of the other sign) do what one
     block (drag) does better, and no exchange of single members gets there.
     """
 
-    def __init__(self, evidence: Evidence, barred: Collection[Key] = ()) -> None:
+    def __init__(self, evidence: Evidence) -> None:
         super().__init__(evidence)
-        self.barred = frozenset(barred)
+        self.barred: frozenset[Key] = frozenset()
+
+    def bar(self, keys: Collection[Key]) -> None:
+        """Look for sets without these from now on; those that were weighed and have none of them stay."""
+        self.barred |= frozenset(keys)
+        self.seen = {present: weighed for present, weighed in self.seen.items() if not present & self.barred}
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
@@ -204,17 +198,24 @@ class MergingSearch(Search):
         for _ in range(MERGES):
             best = ranked[0]
             for pair in combinations(best.members, 2):
-                places = {self._joint(number) for number, _ in pair}
-                if len(places) == 1:
-                    rest = [member for member in best.members if member not in pair]
-                    self.weigh(rest)
-                    for members in self._larger(rest, self.evidence.added(rest, best.kappa), BESIDE):
-                        self.weigh(members)
+                if self._joint(pair[0][0]) == self._joint(pair[1][0]):
+                    self._merge(best, pair)
             self._improve(set())
             ranked = sorted(self.seen.values(), key=lambda weighed: -weighed.log)
             if ranked[0] is best:
                 break
         return ranked
+
+    def _merge(self, best: Weighed, pair: tuple[Member, Member]) -> None:
+        """What may do what two members of the best set do, or nearly so, and the set without the two."""
+        rest, evidence = [member for member in best.members if member not in pair], self.evidence
+        gain = evidence.value(best.members, best.kappa) - evidence.value(rest, best.kappa)
+        gain += sum(evidence.terms[number].log_odds for number, _ in pair)
+        if gain < 2.0 * WINDOW:
+            self.weigh(rest)
+        least = max(GAIN_LEAST, gain - max(2.0 * WINDOW, REMAINS * gain))  # a rival may lack so much and be looked at
+        for members in self._larger(rest, evidence.offer(rest, best.kappa), BESIDE, None, least):
+            self.weigh(members)
 
     def may_join(self, key: Key, present: Collection[Key]) -> bool:
         """Not two that are one thing: with both, each hides what the other does."""

@@ -167,7 +167,7 @@ def noises_of(scene: SeriesScene, rest: Array, rows: Picked) -> list[Noise]:
     return noises
 
 
-BARRED_MOST = 4  # searches, each without the laws that the one before bent too far
+BARRED_MOST = 4  # times that is searched, each without the laws that the one before bent too far
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +217,13 @@ def weighed(
     rows = point.scene.picked(split.deciding & point.scene.usable)
     gram = linear.gram(noises, rows)
     evidence = Evidence(marginalised(gram, linear.first), linear.terms, FLOOR_DOUBT)
-    barred: set[Key] = set()
-    for _ in range(BARRED_MOST):
-        sets = MergingSearch(evidence, barred).run(starts)
+    search, begin = MergingSearch(evidence), list(starts)
+    sets = search.run(begin)
+    for _ in range(BARRED_MOST - 1):
         if not (bent := _bent_too_far(evidence, linear, sets[0], point)):
             break
-        barred |= bent
+        search.bar(bent)
+        sets = search.run([search.keys(sets[0].members), *begin])
     return SeriesFit(point, linear, tuple(noises), gram, evidence, tuple(sets), included(evidence, sets), rows)
 
 

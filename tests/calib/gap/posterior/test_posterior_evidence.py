@@ -63,12 +63,62 @@ def test_what_terms_add_without_each_member_is_what_they_add_to_the_others() -> 
     terms += [_term(Block(j + 1, "drag"), 3, 1) for j in range(2)]
     evidence = _evidence(terms, columns, y)
     members = [(3, 1), (0, 2), (1, 0)]
-    each = list(evidence.added_without_each(members, 1.1))
+    each = list(evidence.offers_without_each(members, 1.1))
     assert len(each) == len(members)
-    for member, added in zip(members, each, strict=True):
-        expected = evidence.added([other for other in members if other is not member], 1.1)
+    for place, (member, offer) in enumerate(zip(members, each, strict=True)):
+        expected, added = evidence.added([other for other in members if other is not member], 1.1), offer.added(range(5))
+        in_place = evidence.added_in_place(members, place, 1.1)
+        assert in_place.log[member[0]] == pytest.approx(expected.log[member[0]], rel=1e-12)
         assert added.log == pytest.approx(expected.log, rel=1e-9, abs=1e-9)
         assert np.array_equal(added.best, expected.best)
+
+
+def _many_terms(seed: int) -> tuple[Evidence, list[tuple[int, int]]]:
+    """Thirty terms, some in variants, with departures or positive, and a set of three of them."""
+    rng = np.random.default_rng(seed)
+    terms = [_term(EffectName("encoder_scale", j + 1), 3, 2) for j in range(8)]
+    terms += [_term(EffectName("backlash", j // 3 + 1), 2, 1, is_positive=True) for j in range(9)]
+    terms += [_term(Block(j + 1, "drag"), 1 + j % 4) for j in range(13)]
+    columns = rng.normal(size=(ROWS, sum(term.count for term in terms)))
+    columns[:, ::2] += 0.7 * columns[:, :1]  # much is alike
+    y = columns @ (rng.normal(size=columns.shape[1]) * (rng.random(columns.shape[1]) < 0.2)) + rng.normal(size=ROWS)
+    return _evidence(terms, columns, y), [(1, 5), (9, 2), (20, 3)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_terms_that_add_most_are_those_of_all_terms_worked_out(seed: int) -> None:
+    """Bounds decide which terms are looked at; no term that belongs among the few may be left out by its bound."""
+    evidence, members = _many_terms(seed)
+    added, offer = evidence.added(members, 1.05), evidence.offer(members, 1.05)
+    gains = {
+        key: float(np.logaddexp.reduce(added.log[numbers])) + evidence.terms[numbers[0]].log_odds
+        for key, numbers in evidence.of_key.items()
+    }
+    bounds = dict(zip(evidence.of_key, evidence.bounds(offer.left, offer.pull), strict=True))
+    assert all(gains[key] <= bounds[key] for key in gains)
+    ranked = sorted(gains, key=lambda key: -gains[key])
+    for width, least in ((1, -1e9), (3, -1e9), (3, gains[ranked[1]] - 1e-6), (2, 1e9)):
+        largest = offer.largest(set(gains) - {ranked[0]}, width, least)
+        expected = [key for key in ranked[1 : 1 + width] if gains[key] > least]
+        assert [key for key, _, _ in largest] == expected
+        for key, (number, scale), gain in largest:
+            assert gain == pytest.approx(gains[key], rel=1e-12)
+            assert number == max(evidence.of_key[key], key=lambda k: added.log[k])
+            assert scale == added.best[number]
+
+
+def test_columns_of_an_exact_law_are_as_if_they_were_not_there() -> None:
+    """A departure of prior variance nought: the set is that of the law alone, and the estimate has noughts in its place."""
+    columns, y = _world(5, 1.0)
+    whole = _evidence([_term(EffectName("encoder_scale", 1), 4, 3)], columns, y)
+    alone = _evidence([_term(EffectName("encoder_scale", 1))], columns[:, :1], y)
+    exact = next(h for h, sd in enumerate(whole.scales[0][0]) if not sd[1:].any() and sd[0] == alone.scales[0][0][1][0])
+    size, covariance = whole.estimate([(0, exact)], 1.0)
+    own_size, own_covariance = alone.estimate([(0, 1)], 1.0)
+    assert size == pytest.approx(np.concatenate((own_size, np.zeros(3))))
+    assert covariance == pytest.approx(np.pad(own_covariance, ((0, 3), (0, 3))))
+    priors = float(whole.weights[0][exact] - alone.weights[0][1])
+    assert whole.value([(0, exact)], 1.0) - alone.value([(0, 1)], 1.0) == pytest.approx(priors, abs=1e-9)
 
 
 def test_currents_that_tell_nothing_are_none() -> None:
@@ -171,6 +221,24 @@ def test_two_that_are_one_thing_are_never_in_one_set_and_a_gear_may_be_soft_and_
     found = [{evidence.terms[k].key for k, _ in one.members} for one in MergingSearch(evidence).run()]
     assert (set(names) in found) != are_one
     assert (found[0] == set(names)) != are_one
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_search_goes_on_without_barred_keys_and_finds_what_one_without_their_terms_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(ROWS, 9))
+    columns[:, 1] += columns[:, 0]  # may stand for the first
+    terms = [_term(EffectName("encoder_scale", j + 1)) for j in range(5)] + [_term(Block(j + 1, "drag")) for j in range(4)]
+    evidence = _evidence(terms, columns, columns[:, [0, 2, 6]] @ np.array([1.0, -0.5, 0.7]) + rng.normal(size=ROWS))
+    search, barred = MergingSearch(evidence), terms[0].key
+    first = search.run()
+    assert barred in search.keys(first[0].members)
+    search.bar({barred})
+    again = search.run([search.keys(first[0].members)])
+    anew = MergingSearch(evidence)
+    anew.bar({barred})
+    assert all(barred not in search.keys(weighed.members) for weighed in again)
+    assert search.keys(again[0].members) == search.keys(anew.run()[0].members)
 
 
 def _weighed_as(evidence: Evidence, logs: dict[int, float]) -> list[Weighed]:
