@@ -172,6 +172,10 @@ class Thin:
         """Values (rows, ...) thinned."""
         return values if self.mix is None else np.asarray(self.mix @ values)
 
+    def mixed(self, of_thin: sparse.csr_array) -> sparse.csr_array:
+        """A matrix on thin rows as one on the rows that they consist of."""
+        return of_thin if self.mix is None else sparse.csr_array(of_thin @ self.mix)
+
     def all_of(self, flags: Flags) -> Flags:
         """Thin rows that consist of flagged ones alone."""
         return flags if self.mix is None else np.asarray((self.mix > 0.0) @ ~flags == 0)

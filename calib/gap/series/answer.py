@@ -388,5 +388,5 @@ def nameable_effects(fit: SeriesFit) -> tuple[Nameable, ...]:
     if not middle:
         return ()
     at = fit.linear.at(middle)[fit.linear.first :]
-    evidence = Evidence(fit.gram.of(at), [fit.linear.terms[k] for k in middle], FLOOR_DOUBT)
+    evidence = Evidence(fit.gram.beside(at, with_first=False), [fit.linear.terms[k] for k in middle], FLOOR_DOUBT)
     return nameable(evidence)

@@ -30,7 +30,7 @@ from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm, scaled
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import ACCELERATION, blocks_of, torque_size
-from calib.gap.series.linear import SeriesFit, SeriesLinear, cross_validated, marginalised, noises_of, refitted, weighed
+from calib.gap.series.linear import Marginal, SeriesFit, SeriesLinear, cross_validated, noises_of, refitted, weighed
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 from calib.settling import FITS_MOST, Settling
@@ -244,7 +244,7 @@ def _with(fit: SeriesFit, members: Weighed) -> SeriesFit:
 
 def _log(fit: SeriesFit, rows: Picked) -> float:
     """Log posterior of a fit's best set on thin rows, that of another operating point may be compared with."""
-    gram = marginalised(fit.linear.gram(fit.noises, rows), fit.linear.first)
+    gram = Marginal.of(fit.linear.gram(fit.noises, rows), fit.linear.first).apart
     evidence = Evidence(gram, fit.linear.terms, FLOOR_DOUBT)
     return Search(evidence).weigh(fit.best.members).log - 0.5 * gram.left
 

@@ -20,6 +20,8 @@ from calib.gap.residuals.whitening import Noise, fitted
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 
+ROWS_AT_ONCE = 1024  # that are whitened for a Gram matrix
+
 
 @dataclass(frozen=True, slots=True)
 class SeriesLinear:
@@ -74,7 +76,7 @@ class SeriesLinear:
 
     def gram(self, noises: Sequence[Noise], rows: Picked) -> Gram:
         """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it, and what
-        other recordings tell.
+        other recordings tell. Some rows after the others: whitened, all columns would take as much memory again as they do.
         """
         total, squares, count = self.count, 0.0, 0
         seen, pull = np.zeros((total, total)), np.zeros(total)
@@ -82,28 +84,37 @@ class SeriesLinear:
             picked = rows[thin]
             if not picked.any():
                 continue
-            moving, thinned = list(self._moving(k)), self.scene.thinned[k]
-            beside = np.column_stack([self.thin_y[thin], *(thinned.of(columns) for columns, _ in moving)])
-            white = self.scene.series[k].whitener(noises[k], picked) @ beside
-            inner, at = white.T @ white, np.concatenate([np.zeros(0, np.intp), *(places for _, places in moving)])
-            seen[np.ix_(at, at)] = seen[np.ix_(at, at)] + inner[1:, 1:]
-            pull[at] += inner[1:, 0]
-            squares += float(inner[0, 0])
+            moving, whitener = list(self._moving(k)), self.scene.series[k].whitener(noises[k], picked)
+            at = np.concatenate([np.zeros(0, np.intp), *(places for _, places in moving)])
+            white_y, mixed = whitener @ self.thin_y[thin], self.scene.thinned[k].mixed(whitener)
+            inner, own = np.zeros((len(at), len(at))), np.zeros(len(at))
+            for first in range(0, len(white_y), ROWS_AT_ONCE):
+                part = mixed[first : first + ROWS_AT_ONCE]
+                white = np.column_stack([part @ columns for columns, _ in moving] or [np.zeros((part.shape[0], 0))])
+                inner += white.T @ white
+                own += white.T @ white_y[first : first + ROWS_AT_ONCE]
+            seen[np.ix_(at, at)] += inner
+            pull[at] += own
+            squares += float(white_y @ white_y)
             count += int(picked.sum())
         gram = Gram(seen, pull, None, np.zeros(total), squares, float(count))
         prior = self.scene.told
         return gram if prior is None else prior.beside(gram, self.terms, self.places)
 
-    def thin_columns(self, places: Places) -> Array:
-        """What some columns do to all thin rows, (thin rows, c)."""
-        columns, number = np.zeros((len(self.thin_y), len(places))), np.full(self.count, -1)
+    def beside(self, places: Places, noises: Sequence[Noise]) -> Iterator[tuple[slice, Array, Array]]:
+        """Of each cell its thin rows (m,), what some columns do to them beside what is to be explained, (m, c + 1), and the same
+        whitened: all cells together would take as many columns as any of them has.
+        """
+        number = np.full(self.count, -1)
         number[places] = np.arange(len(places))
         for k, rows in enumerate(self.scene.thin):
+            columns = np.zeros((rows.stop - rows.start, len(places) + 1))
+            columns[:, -1] = self.thin_y[rows]
             for response, own in self._moving(k):
                 asked = number[own] >= 0
                 if asked.any():
-                    columns[rows, number[own][asked]] = self.scene.thinned[k].of(response[:, asked])
-        return columns
+                    columns[:, number[own][asked]] = self.scene.thinned[k].of(response[:, asked])
+            yield rows, columns, self.scene.series[k].whitened(columns, noises[k])
 
     def explained(self, numbers: Sequence[int], size: Array) -> Array:
         """What terms by number and nuisances do to all rows, with coefficients of their columns, (rows,)."""
@@ -122,19 +133,44 @@ class SeriesLinear:
         return result
 
 
-def marginalised(gram: Gram, first: int) -> Gram:
-    """The first columns, of prior standard deviation one, integrated out."""
-    if not first:
-        return gram
-    root = np.linalg.cholesky(np.eye(first) + gram.tip[:first, :first])
-    projected = solve_triangular(root, np.column_stack((gram.tip[:first, first:], gram.pull[:first])), lower=True)
-    inner = projected.T @ projected  # of one array with itself: half the products of any other
-    seen = gram.tip[first:, first:] - inner[:-1, :-1]
-    pull = gram.pull[first:] - inner[:-1, -1]
-    squares = gram.left - float(inner[-1, -1])
-    # what is told of other columns tells nothing of these
-    current = None if gram.current is None else gram.current[first:, first:]
-    return Gram(seen, pull, current, gram.current_pull[first:], squares, gram.freedom)
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """A Gram matrix of which the first n columns, of prior standard deviation one, are integrated out: G - T'T and h - T't of the
+    others, `apart`, beside these columns' own G with all (n, p) and h (n,), T and t. To keep G besides would take twice as much.
+    """
+
+    apart: Gram
+    seen: Array
+    pull: Array
+    taken: Array
+    drawn: Array
+
+    @classmethod
+    def of(cls, gram: Gram, first: int) -> Marginal:
+        """Without the first columns."""
+        seen, pull = gram.tip[:first].copy(), gram.pull[:first].copy()
+        root = np.linalg.cholesky(np.eye(first) + seen[:, :first])
+        taken, drawn = solve_triangular(root, seen[:, first:], lower=True), solve_triangular(root, pull, lower=True)
+        left = taken.T @ taken  # of one array with itself: half the products of any other
+        np.subtract(gram.tip[first:, first:], left, out=left)
+        # what is told of other columns tells nothing of these
+        current = None if gram.current is None else gram.current[first:, first:].copy()
+        squares = gram.left - float(drawn @ drawn)
+        apart = Gram(left, gram.pull[first:] - taken.T @ drawn, current, gram.current_pull[first:], squares, gram.freedom)
+        return cls(apart, seen, pull, taken, drawn)
+
+    def beside(self, others: Places, with_first: bool = True) -> Gram:
+        """Of some of the others by their places among all columns, after the first ones; without these as if they were nought."""
+        count = len(self.pull)
+        own = self.apart.of(others - count)
+        took = self.taken[:, others - count]
+        first = count if with_first else 0
+        tip, pull = np.empty((first + len(others),) * 2), np.concatenate((self.pull[:first], own.pull + took.T @ self.drawn))
+        tip[:first, :first], tip[:first, first:] = self.seen[:first, :first], self.seen[:first, others]
+        tip[first:, :first], tip[first:, first:] = tip[:first, first:].T, own.tip + took.T @ took
+        current = None if own.current is None else np.pad(own.current, ((first, 0), (first, 0)))
+        squares = self.apart.left + float(self.drawn @ self.drawn)
+        return Gram(tip, pull, current, np.pad(own.current_pull, (first, 0)), squares, own.freedom)
 
 
 def cross_validated(
@@ -144,17 +180,22 @@ def cross_validated(
 
     What a set only soaks up is left here, so that it is noise; what it explains is not. Rows of no group are nought.
     """
-    columns = linear.thin_columns(linear.at(numbers))
-    sd = np.concatenate((np.ones(linear.first), sd))
-    white = linear.whitened(np.column_stack((columns, linear.thin_y)), noises)
-    rest = np.zeros(len(linear.thin_y))
-    grams = [white[g].T @ white[g] for g in groups]
-    whole = np.sum(grams, axis=0)
-    for group, gram in zip(groups, grams, strict=True):
+    at, sd = linear.at(numbers), np.concatenate((np.ones(linear.first), sd))
+    grams = np.zeros((len(groups), len(at) + 1, len(at) + 1))
+    for rows, _, white in linear.beside(at, noises):
+        for gram, group in zip(grams, groups, strict=True):
+            part = white[group[rows]]
+            gram += part.T @ part
+    whole, sizes = np.sum(grams, axis=0), []
+    for gram in grams:
         fitted_gram = whole - gram if len(groups) > 1 else whole
         inner = np.eye(len(sd)) + sd[:, None] * fitted_gram[:-1, :-1] * sd
-        size = sd * np.linalg.solve(inner, sd * fitted_gram[:-1, -1]) if len(sd) else np.zeros(0)
-        rest[group] = linear.thin_y[group] - columns[group] @ size
+        sizes.append(sd * np.linalg.solve(inner, sd * fitted_gram[:-1, -1]) if len(sd) else np.zeros(0))
+    rest = np.zeros(len(linear.thin_y))
+    for rows, columns, _ in linear.beside(at, noises):
+        for size, group in zip(sizes, groups, strict=True):
+            picked = group[rows]
+            rest[rows][picked] = columns[picked, -1] - columns[picked, :-1] @ size
     return rest
 
 
@@ -172,14 +213,14 @@ BARRED_MOST = 4  # times that is searched, each without the laws that the one be
 
 @dataclass(frozen=True, slots=True)
 class SeriesFit:
-    """One linearisation, the noise around it, and what was decided; `gram` with nuisances, on the rows; `sets`: all sets that
-    were weighed, best first.
+    """One linearisation, the noise around it, and what was decided; `gram` on the rows, its first columns nuisances; `sets`: all
+    that were weighed, best first.
     """
 
     point: OperatingPoint
     linear: SeriesLinear
     noises: tuple[Noise, ...]
-    gram: Gram
+    gram: Marginal
     evidence: Evidence
     sets: tuple[Weighed, ...]
     decision: Decision
@@ -215,8 +256,8 @@ def weighed(
 ) -> SeriesFit:
     """The sets of effects around an operating point, weighed on the rows that decide; `starts`: sets to begin with."""
     rows = point.scene.picked(split.deciding & point.scene.usable)
-    gram = linear.gram(noises, rows)
-    evidence = Evidence(marginalised(gram, linear.first), linear.terms, FLOOR_DOUBT)
+    gram = Marginal.of(linear.gram(noises, rows), linear.first)
+    evidence = Evidence(gram.apart, linear.terms, FLOOR_DOUBT)
     search, begin = MergingSearch(evidence), list(starts)
     sets = search.run(begin)
     for _ in range(BARRED_MOST - 1):
@@ -244,11 +285,11 @@ def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, point
 
 def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
     """Coefficients of nuisances and terms of the best set, and their covariance."""
-    at, scales = fit.linear.at(numbers), dict(fit.best.members)
+    gram, scales = fit.gram.beside(fit.linear.at(numbers)[fit.linear.first :]), dict(fit.best.members)
     sd = np.concatenate([np.ones(fit.linear.first), *(fit.evidence.scales[k][0][scales[k]] for k in numbers)])
-    inner = np.eye(len(sd)) + sd[:, None] * fit.gram.among(at, at, fit.best.kappa) * sd
+    inner = np.eye(len(sd)) + sd[:, None] * gram.among(slice(None), slice(None), fit.best.kappa) * sd
     covariance = sd[:, None] * np.linalg.inv(inner) * sd
-    return covariance @ fit.gram.drawn(at, fit.best.kappa), covariance
+    return covariance @ gram.drawn(slice(None), fit.best.kappa), covariance
 
 
 def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:
@@ -256,13 +297,17 @@ def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:
     linear, scene, at = fit.linear, fit.point.scene, fit.linear.at(fit.numbers)
     scales, kappa = fit.evidence.scales, fit.best.kappa
     sd = np.concatenate([np.ones(linear.first), *(scales[k][0][h] for k, h in fit.best.members)])
-    white = linear.whitened(np.column_stack((linear.thin_columns(at), linear.thin_y)), fit.noises)
+    whole, everything = fit.gram.beside(at[linear.first :]), slice(None)
+    picked = [scene.picked(group & scene.usable) for group in groups]
+    grams = np.zeros((len(groups), len(at) + 1, len(at) + 1))
+    for rows, _, white in linear.beside(at, fit.noises):
+        for gram, group in zip(grams, picked, strict=True):
+            part = white[group[rows]]
+            gram += part.T @ part
     coefficients = []
-    for group in groups:
-        rows = white[scene.picked(group & scene.usable)]
-        gram = rows.T @ rows
-        seen = fit.gram.among(at, at, kappa) - gram[:-1, :-1] / kappa**2
-        pull = fit.gram.drawn(at, kappa) - gram[:-1, -1] / kappa**2
+    for gram in grams:
+        seen = whole.among(everything, everything, kappa) - gram[:-1, :-1] / kappa**2
+        pull = whole.drawn(everything, kappa) - gram[:-1, -1] / kappa**2
         inner = np.eye(len(sd)) + sd[:, None] * seen * sd
         coefficients.append(sd * np.linalg.solve(inner, sd * pull))
     return np.array(coefficients)

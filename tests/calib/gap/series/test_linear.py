@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from calib.gap.finding import EffectName
+from calib.gap.posterior.evidence import Gram
 from calib.gap.residuals.rows import ChannelRows
 from calib.gap.residuals.scene import OperatingPoint, SeriesTerm, Thin
-from calib.gap.series.linear import SeriesLinear
+from calib.gap.series.linear import Marginal, SeriesLinear
 from calib.gap.signals.terms import Law
 
 ROWS = 6
@@ -45,6 +47,8 @@ def test_averaged_frames_keep_their_noise_and_do_not_reach_over_a_gap() -> None:
     assert thin.sample[:9:3].tolist() == [5, 20, 105]
     noise = np.random.default_rng(1).normal(size=len(sample))
     assert np.std(thin.of(noise)) == pytest.approx(1.0, rel=0.1)
+    on_thin = sparse.csr_array(np.random.default_rng(2).normal(size=(4, len(thin.sample))))
+    np.testing.assert_allclose(thin.mixed(on_thin) @ noise, on_thin @ thin.of(noise), rtol=1e-12)
     assert not thin.all_of(np.arange(len(sample)) > 0)[0]
     assert thin.all_of(np.arange(len(sample)) > 0)[1:].all()
 
@@ -61,3 +65,26 @@ def test_departures_count_by_what_they_do_together_beside_the_law_where_it_shows
     assert term.departed_by(np.array([2.0, 0.4, 0.4, 0.0])) == pytest.approx(0.4, rel=0.01)
     assert term.departed_by(np.array([-2.0, 0.8, 0.0, 0.0])) == pytest.approx(0.4, rel=0.01)
     assert term.departed_by(np.array([2.0, 0.0, 0.0, 1.0])) < 0.05  # where the law hardly shows
+
+
+@pytest.mark.parametrize("first", [0, 3])
+@pytest.mark.parametrize("is_told", [False, True])
+def test_what_was_integrated_out_comes_back_beside_any_of_the_others(first: int, is_told: bool) -> None:
+    rng = np.random.default_rng(8)
+    columns, y = rng.normal(size=(40, 8)), rng.normal(size=40)
+    told, pull = np.zeros((8, 8)), np.zeros(8)
+    if is_told:
+        told[6:, 6:], pull[6:] = [[3.0, 1.0], [1.0, 2.0]], 0.5
+    gram = Gram(columns.T @ columns, columns.T @ y, told if is_told else None, pull, float(y @ y), 40.0)
+    marginal, others = Marginal.of(gram, first), np.array([7, 4, 6])
+    variance = np.eye(40) + columns[:, :first] @ columns[:, :first].T
+    rest = columns[:, first:]
+    np.testing.assert_allclose(marginal.apart.tip, rest.T @ np.linalg.solve(variance, rest), atol=1e-9)
+    np.testing.assert_allclose(marginal.apart.pull, rest.T @ np.linalg.solve(variance, y), atol=1e-9)
+    assert marginal.apart.left == pytest.approx(y @ np.linalg.solve(variance, y))
+    every = slice(None)
+    for with_first, at in ((True, np.concatenate((np.arange(first), others))), (False, others)):
+        of, expected = marginal.beside(others, with_first), gram.of(at)
+        np.testing.assert_allclose(of.among(every, every, 1.3), expected.among(every, every, 1.3), atol=1e-9)
+        np.testing.assert_allclose(of.drawn(every, 1.3), expected.drawn(every, 1.3), atol=1e-9)
+        assert of.left == pytest.approx(gram.left)

@@ -24,7 +24,7 @@ from calib.gap.residuals.whitening import Noise
 from calib.gap.series.answer import covariance_of_values
 from calib.gap.series.file import identified, jackknife_variance, with_least_left
 from calib.gap.series.find import examine, find
-from calib.gap.series.linear import SeriesLinear, refitted, weighed, without_each
+from calib.gap.series.linear import Marginal, SeriesLinear, refitted, weighed, without_each
 from calib.gap.series.split import split
 from calib.gap.series.validation import Member
 from calib.gap.signals.physics import Physics
@@ -124,7 +124,7 @@ def test_a_group_of_runs_is_left_out_as_if_it_had_not_been_recorded(around: Oper
     fit = weighed(around, linear, noises, parts, [])
     fit = replace(fit, decision=replace(fit.decision, best=Weighed(((0, 5),), 1.0, 0.0)))
     first = parts.groups[0]
-    rest = replace(fit, gram=linear.gram(noises, scene.picked(parts.deciding & ~first)))
+    rest = replace(fit, gram=Marginal.of(linear.gram(noises, scene.picked(parts.deciding & ~first)), linear.first))
     whole, without = without_each(fit, [np.zeros_like(first), first])
     assert whole == pytest.approx(refitted(fit, [0])[0])
     assert without == pytest.approx(refitted(rest, [0])[0])
