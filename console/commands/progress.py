@@ -154,7 +154,8 @@ def shown(client: ArmClient, args: argparse.Namespace, title: str = "") -> Itera
     if getattr(args, "connect", None) is not None:
         yield
         return
-    progress = Progress(title or args.command, client.resume)
+    is_others = args.command == "wait"  # for a motion that another client began, and may resume
+    progress = Progress(title or args.command, None if is_others else client.resume)
     client.on_wait = progress
     try:
         yield

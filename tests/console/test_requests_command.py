@@ -197,6 +197,19 @@ def test_enter_resumes_a_motion_that_another_client_paused_and_what_was_typed_be
     assert cell.mode is Mode.HOLDING
 
 
+def test_waiting_for_another_client_s_paused_motion_offers_no_enter(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Typed()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(sys, "stdin", Typed())
+    monkeypatch.setattr(waiting, "QUIET_S", 0.0)
+    for command in ("wait", "move"):
+        with waiting.shown(cell.client, argparse.Namespace(command=command)):
+            assert cell.client.on_wait is not None
+            monkeypatch.setattr(waiting, "has_line", lambda: False)
+            cell.client.on_wait({"mode": "PAUSED", "progress": 0.4, "step": ""})
+    assert [("Enter" in part) for part in terminal.getvalue().split("\r\x1b[K") if "paused" in part] == [False, True]
+
+
 def test_a_script_s_line_shows_no_progress(cell: Cell) -> None:
     with waiting.shown(cell.client, argparse.Namespace(command="home", connect=lambda: cell.client)):
         assert cell.client.on_wait is None
