@@ -73,9 +73,10 @@ def connected_arms(args: argparse.Namespace, names: tuple[str, ...]) -> Iterator
     """Clients of some arms of the command's cell. ArmError if they are not on one runtime."""
     cell = load_cell(args.cell)
     clients: dict[str, ArmClient] = {}
+    served_by = to_type("serve", "--cell", args.cell)
     try:
         for name in names:
-            clients[name] = ArmClient(SocketChannel(default_path(cell.placed(name).name)))
+            clients[name] = ArmClient(SocketChannel(default_path(cell.placed(name).name), served_by=served_by))
         _require_one_runtime(clients, cell)
         for name, client in clients.items():
             client.require_arm(cell.placed(name).arm, cell)

@@ -81,6 +81,11 @@ def test_what_does_not_fit_a_cell_is_refused(
     assert served == []
 
 
+def test_without_a_runtime_the_commands_of_a_cell_name_what_starts_all_its_arms(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["follow", "--leader", "left", "--follower", "right"]) == 2
+    assert "start one with `armwright serve --cell pair`" in capsys.readouterr().err
+
+
 def test_a_rate_that_is_much_for_the_bus_of_one_arm_is_said(served: list[Any], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["serve", "--arm", "right", "--rate", "1000"]) == 0
     said = capsys.readouterr().err
