@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from calib.arm_problem.arm_model import dh_names
+from calib.arm_problem.joint_effects import effect_key, made_effects
 from calib.arrays import Mask
 from calib.gap.effects.catalogue import SHARED, is_load
 from calib.gap.effects.links import FRAME
@@ -344,8 +345,10 @@ def _known(arm: Arm, name: EffectName) -> Effect | None:
 
 
 def _is_new(arm: Arm, name: EffectName, estimate: Estimated) -> bool:
-    """Whether the total differs from what the arm's file has."""
+    """Whether the total differs from what the arm's file has. What its tolerances say is there is not nothing."""
     known = _known(arm, name)
+    if _is_nothing(estimate) and name in {EffectName(*effect_key(text, arm)) for text in made_effects(arm)}:
+        return False
     if known is None:
         return not _is_nothing(estimate)
     before = () if is_load(name.effect) else linear_values(name.effect, known.parameters)

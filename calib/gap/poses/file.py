@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.joint_effects import DRIFT, LAWS, node_values, resting_points, spline_columns
+from calib.arm_problem.joint_effects import DRIFT, LAWS, effect_key, made_effects, node_values, resting_points, spline_columns
 from calib.arrays import Mask
 from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
 from calib.gap.effects.catalogue import RECORDS
@@ -68,13 +68,14 @@ class File:
         `beside`: what acts, but has no name, as one of an ambiguous set: it is identified with the names, which else took its
         part. The members of a set agree about the correction where poses were recorded, else the poses told them apart: for that
         range it stands in the file, as a map; what no map can do stays out. Then, with all that kept, the rest of the arm
-        follows.
+        follows. What the arm has by its tolerances, such as the play of its gears, is identified as `calibrate` does it.
         Stages on the way to the last file are fitted from one start, as they are only drawn.
         """
         gone = {(name.effect, name.joint) for name, parameters in named.items() if not parameters}
         kept = tuple(effect for effect in arm.effects if (effect.effect, effect.joint) not in gone)
         bare = dataclasses.replace(arm, effects=kept, maps=())
         freed = (BASE,) if EffectName(FRAME) in {**named, **beside} else ()
+        by_tolerances = [EffectName(*effect_key(text, bare)) for text in made_effects(bare)]
 
         def identify(begun: Arm, init: Mapping[EffectName, Parameters], is_free: bool) -> tuple[Identification, Arm]:
             sought = [
@@ -83,6 +84,7 @@ class File:
             # what poses do not determine stays as the given arm has it, as `calibrate` leaves it
             stated = [name for name in init if init[name] and (name not in sought or name.effect == DRIFT)]
             begun = with_totals(begun, [effect_of(name, init[name]) for name in stated])
+            sought += [name for name in by_tolerances if is_free and name not in {*sought, *stated, *firmer}]
             keys = [name.effect if name.joint is None else f"{name.effect}:{name.joint}" for name in sought]
             choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
             plan = CalibrationPlan(choice) if is_last else CalibrationPlan(choice, LeastSquares(), starts_count=1)
@@ -99,7 +101,7 @@ class File:
 
         if not beside:
             return file(fit, made)
-        values = [effect for effect in made.effects if EffectName(effect.effect, effect.joint) in named]
+        values = [effect for effect in made.effects if EffectName(effect.effect, effect.joint) in {*named, *by_tolerances}]
         without = file(*identify(with_totals(bare, values), {}, False))
         maps = _shared(made, beside, points, rows)
         if not maps:

@@ -16,6 +16,8 @@ from calib.arm_problem.joint_effects import made_effects
 from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.arrays import norms
 from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified, with_made_effects
+from calib.gap.finding import with_totals
+from calib.gap.poses.find import find
 from calib.identify.descent import descend
 from calib.identify.identification import identify
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfCoordinates, SumOfDistances
@@ -23,7 +25,7 @@ from calib.identify.solver import prior_of
 from calib.points.points import Points
 from control.dynamics.static_pose import resting
 from control.kinematics.kinematics import ForwardKinematics
-from control.model.arm import Arm
+from control.model.arm import Arm, Camera, Effect
 from control.model.description import arm_text, load_arm, parse_arm
 from control.model.effects import backlash_rad
 from control.model.tolerances import ArmTolerances, JointTolerances, LinkTolerances, Spread
@@ -148,7 +150,7 @@ def test_a_tilted_axis_takes_the_published_rows_along() -> None:
     assert np.array(more.tolerances.about) == pytest.approx(bare.dh)
 
 
-def loose(arm: Arm, seed: int, small: float) -> tuple[Points, Points]:
+def loose(arm: Arm, seed: int, small: float, play_rad: float = PLAY_rad) -> tuple[Points, Points]:
     """Points of an arm whose gears have play, and the truth in other poses: as its model of gears at rest has it."""
     true, rng = made(dataclasses.replace(arm, tolerances=None) if small == 0.0 else arm, seed, small)
     lower, upper = np.array(arm.limits_rad).T
@@ -157,7 +159,7 @@ def loose(arm: Arm, seed: int, small: float) -> tuple[Points, Points]:
     direction = rng.choice((-1.0, 1.0), q.shape)
     flank = resting(arm, q, direction).flank
     lying = np.where(flank == 0.0, rng.uniform(-1.0, 1.0, q.shape), flank)
-    tip_m = ForwardKinematics(true).tips(q + backlash_rad(lying, PLAY_rad))
+    tip_m = ForwardKinematics(true).tips(q + backlash_rad(lying, play_rad))
     noisy = tip_m + rng.normal(0.0, 5e-4, tip_m.shape)
     fitted, others = make_points(q, noisy, direction=direction), make_points(q, tip_m, direction=direction)
     return fitted.chosen(range(40)), others.chosen(range(40, 110))
@@ -197,6 +199,19 @@ def test_play_of_an_arm_without_masses_is_told_and_left_out() -> None:
     result = calibrate(bare, loose(SO101, 1, 0.5)[0], dataclasses.replace(LSQ, choice=BASE))
     assert any("no play is identified; add mass_kg" in warning for warning in result.warnings)
     assert "backlash" not in {effect.effect for effect in result.arm.effects}
+
+
+def test_gap_takes_no_play_away_that_tolerances_say_is_there_and_identifies_it_as_calibrate_does() -> None:
+    """A play that was identified in a file, and is hardly there any more, as gears have been adjusted."""
+    arm = dataclasses.replace(SO101, camera=Camera(position_noise_m=5e-4))
+    fitted, _ = loose(arm, 0, 0.5, play_rad=0.0035)
+    calibrated = geometry(arm, fitted, dataclasses.replace(LSQ, choice=with_made_effects(BASE, arm)))
+    given = with_totals(calibrated, [Effect("backlash", 2, {"width_rad": 0.02})])
+    found = find(given, fitted)
+    assert not [effect.name for effect in found.finding.effects if effect.is_nothing]
+    widths = [effect.parameters["width_rad"] for effect in found.file.effects if effect.effect == "backlash"]
+    assert len(widths) == 5
+    assert widths[1] == pytest.approx(0.0035, abs=0.005)
 
 
 @pytest.mark.parametrize(("count", "seed"), [(13, 0), (14, 1)])
