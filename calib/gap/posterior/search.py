@@ -13,6 +13,7 @@ few that add most are weighed.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -36,12 +37,21 @@ MERGES = 3  # times that two members make room for one other
 BESIDE = 2  # terms that are tried in the place of two
 
 
+@dataclass(frozen=True, slots=True)
+class Expanded:
+    """What a set led to, all of it weighed: keys that were tried, and whether in the place of its members, too."""
+
+    tried: frozenset[Key]
+    is_exchanged: bool
+
+
 class Search:
     """Over the sets of an Evidence; `forced` keys are in every set: what the arm's file has already."""
 
     def __init__(self, evidence: Evidence, forced: Collection[Key] = ()) -> None:
         self.evidence, self.forced = evidence, frozenset(forced) & evidence.of_key.keys()
         self.seen: dict[frozenset[Key], Weighed] = {}
+        self.expanded: dict[frozenset[Key], Expanded] = {}
 
     def keys(self, members: Iterable[Member]) -> frozenset[Key]:
         """Of a set."""
@@ -67,7 +77,7 @@ class Search:
     def _improve(self, expanded: set[frozenset[Key]]) -> None:
         """Best first, until nothing near the best is left to look into."""
         for _ in range(EXPANSIONS):
-            best = max(weighed.log for weighed in self.seen.values())
+            best = self._best
             open_ = [(weighed.log, keys) for keys, weighed in self.seen.items() if keys not in expanded]
             if not open_:
                 break
@@ -113,15 +123,19 @@ class Search:
         return number, len(self.evidence.weights[number]) // 2
 
     def _expand(self, weighed: Weighed) -> None:
-        """Weigh what is one term more, and, where nothing more pays, what is one less or one other."""
+        """Weigh what is one term more, and, where nothing more pays, what is one less or one other; once."""
+        keys, before = self.keys(weighed.members), self.expanded.get(self.keys(weighed.members))
+        if before is not None and (before.is_exchanged or self._best > weighed.log + 1.0):
+            return
         larger = self._larger(weighed.members, self.evidence.offer(weighed.members, weighed.kappa), WIDTH)
         for members in larger[:GROWTH]:
             self.weigh(members)
-        if max(rival.log for rival in self.seen.values()) > weighed.log + 1.0:
-            return  # it is not at its best yet
+        if self._best > weighed.log + 1.0:  # it is not at its best yet
+            self.expanded[keys] = Expanded(self._tried(larger), False)
+            return
         for members in larger[GROWTH:]:
             self.weigh(members)
-        is_best = weighed.log >= max(rival.log for rival in self.seen.values()) - EXCHANGED
+        is_best = weighed.log >= self._best - EXCHANGED
         without = self.evidence.offers_without_each(weighed.members, weighed.kappa) if is_best else [None] * len(weighed.members)
         for member, gain, offer in zip(weighed.members, weighed.gains, without, strict=True):
             key = self.evidence.terms[member[0]].key
@@ -131,8 +145,20 @@ class Search:
             if gain < 2.0 * WINDOW:
                 self.weigh(rest)
             if offer is not None:
-                for members in self._larger(rest, offer, EXCHANGES, key, gain - 2.0 * WINDOW):
+                exchanged = self._larger(rest, offer, EXCHANGES, key, gain - 2.0 * WINDOW)
+                for members in exchanged:
                     self.weigh(members)
+                larger += exchanged
+        self.expanded[keys] = Expanded(self._tried(larger), is_best)
+
+    @property
+    def _best(self) -> float:
+        """The largest log posterior so far."""
+        return max(weighed.log for weighed in self.seen.values())
+
+    def _tried(self, sets: Sequence[Sequence[Member]]) -> frozenset[Key]:
+        """All keys of sets."""
+        return frozenset[Key]().union(*map(self.keys, sets))
 
     def _larger(
         self, members: Sequence[Member], offer: Offer, width: int, but: Key | None = None, least: float = GAIN_LEAST
@@ -191,6 +217,8 @@ class MergingSearch(Search):
         """Look for sets without these from now on; those that were weighed and have none of them stay."""
         self.barred |= frozenset(keys)
         self.seen = {present: weighed for present, weighed in self.seen.items() if not present & self.barred}
+        # what took the places that barred keys had among the few that were tried is not known yet
+        self.expanded = {present: past for present, past in self.expanded.items() if not (present | past.tried) & self.barred}
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""

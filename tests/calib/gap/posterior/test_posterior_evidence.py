@@ -241,6 +241,22 @@ def test_a_search_goes_on_without_barred_keys_and_finds_what_one_without_their_t
     assert search.keys(again[0].members) == search.keys(anew.run()[0].members)
 
 
+def test_what_a_set_leads_to_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence, _ = _many_terms(4)
+    search = Search(evidence)
+    search.run()
+    search._improve(set())
+    before = set(search.seen)
+
+    def again(*_: object) -> None:
+        raise AssertionError("what terms would add to a set was asked for again")
+
+    monkeypatch.setattr(Evidence, "offer", again)
+    monkeypatch.setattr(Evidence, "offers_without_each", again)
+    search._improve(set())
+    assert set(search.seen) == before
+
+
 def _weighed_as(evidence: Evidence, logs: dict[int, float]) -> list[Weighed]:
     """Sets of one term each, with given log posteriors, the best first."""
     sets = [Weighed(((number, 1),), 1.0, log) for number, log in logs.items()]
