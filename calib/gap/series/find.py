@@ -30,7 +30,7 @@ from calib.gap.series.answer import (
     what_is_left,
 )
 from calib.gap.series.file import in_best_forms, laws_of, read_back, with_least_left
-from calib.gap.series.iterations import fitted, unknown_rotors
+from calib.gap.series.iterations import COMPARED, fitted, unknown_rotors
 from calib.gap.series.linear import SeriesFit
 from calib.gap.series.outcome import doubts, drawn_laws, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
@@ -74,7 +74,7 @@ def decided(
     warnings += map(str, ripples(recording, rows.physics.gear_ratios))
     parts, scene = split(recording, rows.table), SeriesScene(rows, known, prior and prior.beyond(arm))
     fit = fitted(scene, known, parts, candidates, progress)
-    progress("the gap on runs used for nothing else", 0.95)
+    progress("the gap on runs used for nothing else", COMPARED)
     parts = parts.only(scene.usable)
     weighed = fit
     fit, harming = validated(weighed, parts.reporting)

@@ -102,11 +102,11 @@ def fitted(
 
     seen: set[frozenset[Key]] = set()
     while True:
-        to_go = 0.84 * (2.0 / 3.0) ** len(seen)
-        advance("what every effect would do", 0.94 - to_go)
+        turn = len(seen)
+        advance("what every effect would do", _done(turn, 0.0))
         linear = linearised(point)
         first = first or list(linear.terms)
-        advance("weighing effects", 0.94 - 0.88 * to_go)
+        advance("weighing effects", _done(turn, 0.25 if turn == 0 else 0.05))
         judged = Validated.of(weighed(point, linear, noises, split, starts), split)
         if seen or judged.fit.best.kappa > UNTOLD:
             again = Validated.of(weighed(point, linear, judged.noises, split, starts), split)
@@ -118,15 +118,29 @@ def fitted(
             break
         seen.add(keys)
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
-        advance("settling what bends", 0.94 - 0.69 * to_go)
+        advance("settling what bends", _done(turn, 0.85))
         after = settled(fit, split)
         if np.linalg.norm(remains(after, fit)) > np.linalg.norm(remains(point, fit)):
             break  # no better point of linearisation
         point = after
     assert last is not None  # the first is taken
     scene.keep(last.usable)
-    advance("rivals of what was found", 0.94)
-    return against_rivals(last.fit, split, linearised)
+    return against_rivals(last.fit, split, linearised, advance)
+
+
+# Shares of all that is done at which a fit begins and ends, and of the fit what is left when each linearisation begins: two are
+# enough for one answer, another takes four and rivals.
+BEGUN, FITTED, COMPARED = 0.05, 0.87, 0.97
+TO_GO = 1.0, 0.6, 0.25
+
+
+def _done(turn: int, part: float) -> float:
+    """The share that is done after a part of a linearisation, of which the first is turn 0."""
+
+    def to_go(turn: int) -> float:
+        return TO_GO[turn] if turn < len(TO_GO) else TO_GO[-1] * 0.5 ** (turn + 1 - len(TO_GO))
+
+    return FITTED - (FITTED - BEGUN) * ((1.0 - part) * to_go(turn) + part * to_go(turn + 1))
 
 
 def remains(point: OperatingPoint, fit: SeriesFit) -> Array:
@@ -199,12 +213,15 @@ def _usual(term: SeriesTerm) -> Array:
 RIVALS_MOST = 3  # that are looked into: each costs a linearisation
 
 
-def against_rivals(fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear]) -> SeriesFit:
+def against_rivals(
+    fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear], advance: Advance
+) -> SeriesFit:
     """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
     scene = fit.point.scene
     near: list[tuple[EffectName, EffectName]] = []
     tried: set[frozenset[EffectName]] = set()
-    for _ in range(RIVALS_MOST):
+    for count in range(RIVALS_MOST):
+        advance("rivals of what was found", FITTED + (COMPARED - FITTED) * count / RIVALS_MOST)
         open_ = (contest for contest in contests(fit) if frozenset(contest[:2]) not in tried)
         if (contest := next(open_, None)) is None:
             break

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.gap.series.iterations import Validated
+from calib.gap.series.iterations import BEGUN, FITTED, Validated, _done
 
 
 def validated(*missed: float) -> Validated:
@@ -35,3 +35,11 @@ def test_a_fit_stays_unless_its_predictions_are_worse(worse: tuple[float, ...], 
 
 def test_the_first_fit_has_no_other() -> None:
     assert (first := validated(1.0)).unless_worse_than(None) is first
+
+
+def test_what_is_done_grows_through_any_number_of_linearisations() -> None:
+    done = [_done(turn, part) for turn in range(6) for part in (0.0, 0.05, 0.85)]
+    assert done == sorted(done)
+    assert done[0] == pytest.approx(BEGUN)
+    assert done[-1] < FITTED
+    assert _done(1, 1.0) == pytest.approx(_done(2, 0.0))
