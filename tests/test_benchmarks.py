@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import math
+from pathlib import Path
 
 import pytest
 
+import benchmarks
 from benchmarks.__main__ import SECTIONS
 from benchmarks.loop.jobs import CIRCLE_SPEED_m_s, HEIGHT_m, circle
 from benchmarks.peers.peer import PeerMissing
@@ -74,3 +77,10 @@ def test_a_section_of_the_benchmarks_measures_its_rows(name: str, monkeypatch: p
     rows = list(section.rows())
     assert rows
     assert [row.name for row in rows if not math.isfinite(row.value)] == []
+
+
+def test_a_script_runs_when_all_of_it_is_defined() -> None:
+    """A function below the lines that run the module is not there yet."""
+    for path in sorted(Path(benchmarks.__file__).parent.rglob("*.py")):
+        *before, _ = [ast.unparse(part) for part in ast.parse(path.read_text(encoding="utf-8")).body] or [""]
+        assert not [part for part in before if part.startswith("if __name__")], path

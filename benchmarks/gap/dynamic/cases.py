@@ -285,23 +285,6 @@ def _header(joints: int) -> str:
     return ",".join(["run", "t_s", "payload_kg", *columns, "x_m", "y_m", "z_m"])
 
 
-def main() -> None:
-    """Write one case."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("effects")
-    parser.add_argument("--joint", type=int)
-    parser.add_argument("--size", type=float, default=1.0, help="times the usual size")
-    given = parser.parse_args()
-    for case in made([Asked(given.seed, given.effects, given.joint, given.size)]):
-        write(case, given.out)
-
-
-if __name__ == "__main__":
-    main()
-
-
 # Motions of the recordings of a scored case: slow, creeping, free, a sweep, small and fast, ramps.
 
 MIDDLE_rad = (0.0, -0.6, 0.1)
@@ -431,3 +414,20 @@ class RoughSimulation(Simulation):
 def side_by_side(shares: Sequence[dict[str, Array]], runs: int) -> dict[str, Array]:
     """Shares of several cases, each for all of its runs: (n, B)."""
     return {name: np.repeat(np.stack([one[name] for one in shares], axis=1), runs, axis=1) for name in shares[0]}
+
+
+def main() -> None:
+    """Write one case."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("seed", type=int)
+    parser.add_argument("effects")
+    parser.add_argument("--joint", type=int)
+    parser.add_argument("--size", type=float, default=1.0, help="times the usual size")
+    given = parser.parse_args()
+    for case in made([Asked(given.seed, given.effects, given.joint, given.size)]):
+        write(case, given.out)
+
+
+if __name__ == "__main__":
+    main()
