@@ -44,7 +44,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.plain_text import Advance
-from procedures.tour import Bench, How, Rows, Stop, note_plan, tour
+from procedures.tour import Bench, How, Rows, Stop, note_plan, remaining, tour
 
 # For a time, not until rest: what an arm still does then is what the criteria measure. 20 camera frames are averaged.
 HOW = How(SessionSettings(still_limit_rad=math.inf, still_s=0.2, average_s=0.2), needs_tip=False)
@@ -119,9 +119,10 @@ def record(arm: Arm, bench: Bench, planned: Planned, out: Path, advance: Advance
         PointsWriter(out / "points.csv", n, more=SET) as points,
         contextlib.closing(KeptLines(out / "log.csv", Iso9283Error, ",".join(log_header(n)))) as log,
     ):
-        stops = tour(bench, HOW, (_stop(planned, step) for step in planned.steps), points, _Log(n, log))
-        for done, stop in enumerate(stops):
-            advance(stop.name, done / len(planned.steps))
+        runs = _Log(n, log)
+        stops = remaining((_stop(planned, step) for step in planned.steps), points, runs)
+        for done, stop in enumerate(tour(bench, HOW, stops, points, runs)):
+            advance(stop.name, done / len(stops))
     advance("recorded", 1.0)
 
 

@@ -111,10 +111,22 @@ def tour(
     conductor = _Conductor(bench, how, points, runs)
     for stop in stops:
         yield stop
-        if not conductor.has(stop):
+        if not _is_recorded(stop, points, runs):
             conductor.take(stop)
     conductor.come_back()
     conductor.hang(0.0)
+
+
+def remaining(stops: Iterable[Stop[R]], points: PointsWriter | None, runs: Runs[R] | None) -> list[Stop[R]]:
+    """The stops that are not on the disk yet: progress and its remaining time are those of what is still to be done."""
+    return [stop for stop in stops if not _is_recorded(stop, points, runs)]
+
+
+def _is_recorded(stop: Stop[R], points: PointsWriter | None, runs: Runs[R] | None) -> bool:
+    """A record follows the rows of the motion to its pose, so it stands for both."""
+    if stop.key is not None:
+        return points is not None and stop.key in points.recorded
+    return stop.run is not None and runs is not None and runs.has(stop.run)
 
 
 class _Conductor(Generic[R]):
@@ -124,12 +136,6 @@ class _Conductor(Generic[R]):
         self._rows = RunRows(bench.recording) if runs is not None and bench.recording is not None else None
         self._load_kg, self._began_s = 0.0, math.nan
         self._stands_out: tuple[Angles, object] | None = None  # the way back, and the pose where the arm stands
-
-    def has(self, stop: Stop[R]) -> bool:
-        """A record follows the rows of the motion to its pose, so it stands for both."""
-        if stop.key is not None:
-            return self._points is not None and stop.key in self._points.recorded
-        return stop.run is not None and self._runs is not None and self._runs.has(stop.run)
 
     def take(self, stop: Stop[R]) -> None:
         """Go there, wait, measure, keep."""

@@ -23,7 +23,7 @@ from control.plain_text import Advance
 from control.recording.record import LEAD_FIELD
 from control.tables import SAMPLES_MOST, opened_rows
 from procedures.gap.timing import Aligned, Raw, aligned, clocks_of, lead_rad_of
-from procedures.tour import Bench, How, Rows, Stop, note_plan, tour
+from procedures.tour import Bench, How, Rows, Stop, note_plan, remaining, tour
 
 TIP = ("x_m", "y_m", "z_m")
 GROUPS = {"q{}_rad": "q_rad", "q{}_set_rad": "q_set_rad", "i{}_A": "current_A", "u{}_V": "voltage_V"}
@@ -183,9 +183,10 @@ def record(arm: Arm, bench: Bench, plan: RecordingPlan, out: Path, advance: Adva
     announcing_bench = replace(bench, hang=hang)
     try:
         with PointsWriter(out / "points.csv", arm.joint_count, pose_frame) as points:
-            stops = tour(announcing_bench, HOW, map(_stop, plan.steps), points, _RunFiles(arm, out))
-            for done, stop in enumerate(stops):
-                advance(stop.name, done / len(plan.steps))
+            runs = _RunFiles(arm, out)
+            stops = remaining(map(_stop, plan.steps), points, runs)
+            for done, stop in enumerate(tour(announcing_bench, HOW, stops, points, runs)):
+                advance(stop.name, done / len(stops))
     finally:
         if plan.runs:
             write_log(out, arm, [run.name for run in plan.runs])

@@ -58,6 +58,7 @@ class Recorded:
     log: Log
     hung: list[float]
     done_before: int
+    shares: list[float]  # of what was left, as it went on
 
 
 def tiny() -> RecordingPlan:
@@ -101,12 +102,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, nobody_below: None) -> It
         with pytest.raises(Interrupted):
             record(RIGHT, mine, tiny(), out, advance)
         before = len(read_points(out / "points.csv", 3)[0])
-        record(RIGHT, mine, tiny(), out, lambda *_: None)
+        shares: list[float] = []
+        record(RIGHT, mine, tiny(), out, lambda _, share: shares.append(share))
         bench.stop()
         points, warnings = read_points(out / "points.csv", 3)
         log, log_warnings = read_log(out / "log.csv", 3)
         assert (warnings, log_warnings) == ((), ())
-        yield Recorded(out, points, log, hung, before)
+        yield Recorded(out, points, log, hung, before, shares)
     finally:
         bench.close()
 
@@ -117,6 +119,11 @@ def test_an_interrupted_recording_goes_on_and_holds_every_pose_once(recorded: Re
     assert recorded.points.payload_kg.tolist() == [0.0, 0.0, 0.4]
     assert set(recorded.points.setup) == {"free"}
     assert recorded.hung == [0.4, 0.0]
+
+
+def test_progress_after_an_interruption_is_that_of_what_was_left(recorded: Recorded) -> None:
+    """Two of five steps done in no time made the remaining time too short."""
+    assert recorded.shares == [0.0, 1 / 3, 2 / 3, 1.0]
 
 
 def test_poses_are_reached_and_their_directions_are_those_of_the_approach(recorded: Recorded) -> None:
