@@ -178,9 +178,9 @@ def losses(arm: Arm, form: str) -> tuple[str, ...]:
 
 
 def _effects(arm: Arm, form: str) -> list[str]:
-    return [
-        f"{form} cannot express the effect {_spelled(effect)}: omitted" for effect in arm.effects if effect.effect not in HELD
-    ]
+    """Of those that do something: `calibrate --fix base` writes a base_frame of zeros."""
+    acting = (effect for effect in arm.effects if effect.effect not in HELD and any(effect.parameters.values()))
+    return [f"{form} cannot express the effect {_spelled(effect)}: omitted" for effect in acting]
 
 
 def _spelled(effect: Effect) -> str:

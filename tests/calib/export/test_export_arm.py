@@ -255,12 +255,14 @@ def test_what_is_lost_is_said() -> None:
         Effect("backlash", 1, {"width_rad": 0.005}),
         Effect("encoder_scale", 2, {"scale": 0.01}),
         Effect("viscous_friction", 2, {"coefficient_Nm_s_rad": 1.5}),
+        Effect("base_frame", None, dict.fromkeys(("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"), 0.0)),
     )
     arm = dataclasses.replace(RIGHT, effects=hidden, gravity_m_s2=(0.0, 0.0, -1.62))
     text = " ".join(export_losses(arm, "urdf"))
     assert "backlash of 1 (width_rad 0.005)" in text
     assert "encoder_scale of 2 (scale 0.01)" in text
     assert "viscous" not in text
+    assert "base_frame" not in text
     assert "-1.62" in text
     assert "rotor inertia: joint 3" in text
     assert "table, camera" in text
