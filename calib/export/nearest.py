@@ -17,7 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arm_problem.arm_model import dh_names
 from calib.arm_problem.assembly import BASE, Choice, problem_of
+from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.arm_problem.posed import TARGET, whole_problem
 from calib.arrays import Array, frozen, norms
 from calib.design.candidates import joint_box, spread_poses, workspace_poses
@@ -29,6 +31,7 @@ from control.model.arm import Arm
 
 POSES = 1000  # drawn; those below the floor are left out
 ROUNDS = 5  # Gauss-Newton's: deviations of some mm have settled after three
+THETA = 1  # column of a DH table
 OF_LOADS = ("backlash", "joint_compliance", "link_flexure")
 
 
@@ -40,11 +43,28 @@ class RigidArm:
     notes: tuple[str, ...] = ()
 
 
-def nearest_rigid(arm: Arm, known: Collection[str] = (), fixed: Collection[str] = ()) -> RigidArm:
-    """For a program that knows the effects `known` besides rigid links, and keeps the DH parameters `fixed`, such as L2."""
-    model, notes = _with_sides(arm)
+def nearest_rigid(arm: Arm, known: Collection[str] = ()) -> RigidArm:
+    """For a program that knows the effects `known` besides rigid links."""
     own = tuple(effect for effect in arm.effects if effect.effect in known)
-    rigid = replace(arm, effects=own, maps=(), tolerances=None, tool=replace(arm.tool, known=True))
+    how = "the links are those of the rigid arm nearest to this one with its effects", "with the file's links"
+    return _nearest(arm, replace(arm, effects=own), (), how)
+
+
+def nearest_zeros(arm: Arm, generic: Arm) -> RigidArm:
+    """For a program that keeps the links of the `generic` arm, and learns the joints' zeros alone. ArmError: another arm."""
+    arm, generic = in_the_same_rows(arm, generic)
+    turns, rows = np.array(arm.joints), np.array(generic.dh)
+    rows[turns, THETA] = arm.dh[turns, THETA]
+    names = np.array(dh_names(len(rows))).reshape(rows.shape)
+    fixed = set(names.ravel()) - set(names[turns, THETA])
+    how = f"the zeros are those with which the links of {generic.name} come nearest to this arm", "with the file's zeros"
+    return _nearest(arm, replace(arm.with_dh(rows), effects=()), fixed, how)
+
+
+def _nearest(arm: Arm, rigid: Arm, fixed: Collection[str], how: tuple[str, str]) -> RigidArm:
+    """Of a rigid arm to begin with, of which the DH parameters `fixed` stay; `how`: what the numbers are, and what they were."""
+    model, notes = _with_sides(arm)
+    rigid = replace(rigid, maps=(), tolerances=None, tool=replace(arm.tool, known=True))
     poses = _predicted(model, _poses(arm))
     as_rigid = _predicted(rigid, poses)
     if np.array_equal(as_rigid.tip_m, poses.tip_m) and np.array_equal(as_rigid.orientation, poses.orientation):
@@ -58,7 +78,10 @@ def nearest_rigid(arm: Arm, known: Collection[str] = (), fixed: Collection[str] 
         rows, variance = jacobian.reshape(-1, len(x)), float(np.mean(residuals**2))
         x = x - np.linalg.solve(rows.T @ rows + variance * np.eye(len(x)), rows.T @ residuals.ravel() + variance * x)
     dh = problem.solution(x).dh
-    return RigidArm(arm.with_dh(dh), (*notes, _in_words(_off(rigid, others), _off(rigid.with_dh(dh), others))))
+    what, else_ = how
+    after, before = (_in_words(_off(one, others)) for one in (rigid.with_dh(dh), rigid))
+    sentence = f"{what}: at rest tip and orientation are off by {after} on average, {else_} by {before}"
+    return RigidArm(arm.with_dh(dh), (*notes, sentence))
 
 
 def _with_sides(arm: Arm) -> tuple[Arm, tuple[str, ...]]:
@@ -99,14 +122,7 @@ def _off(arm: Arm, poses: Points) -> Array:
     return np.column_stack((norms(poses.tip_m - there.tip_m), norms(logarithms(turned))))
 
 
-def _in_words(before: Array, after: Array) -> str:
-    """Errors of tips [m] and last links [rad], (m, 2), with the file's links and with those written."""
-
-    def figures(off: Array) -> str:
-        tip_m, turn_rad = off.T
-        return f"{1e3 * tip_m.mean():.1f} mm (95 %: {1e3 * np.quantile(tip_m, 0.95):.1f}), {1e3 * turn_rad.mean():.1f} mrad"
-
-    return (
-        "the links are those of the rigid arm nearest to this one with its effects: at rest tip and orientation are off by"
-        f" {figures(after)} on average, with the file's links by {figures(before)}"
-    )
+def _in_words(off: Array) -> str:
+    """Errors of tips [m] and last links [rad], (m, 2)."""
+    tip_m, turn_rad = off.T
+    return f"{1e3 * tip_m.mean():.1f} mm (95 %: {1e3 * np.quantile(tip_m, 0.95):.1f}), {1e3 * turn_rad.mean():.1f} mrad"

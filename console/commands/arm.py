@@ -91,18 +91,16 @@ def _taken_over(arm: Arm, args: argparse.Namespace) -> int:
 
 
 def _given_back(arm: Arm, args: argparse.Namespace) -> int:
-    """LeRobot's calibration with the zeros that were identified, and what effects do to them on average."""
+    """LeRobot's calibration with the zeros with which its model comes nearest to this arm."""
     from calib.arm_import.lerobot import given_back, read_calibration
-    from calib.arm_problem.arm_model import dh_names
     from calib.export import write_new
-    from calib.export.nearest import nearest_rigid
+    from calib.export.nearest import nearest_zeros
 
     if not args.lerobot:
         raise ArmError("--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept")
     generic = load_arm(args.generic) if args.generic else arm
-    zeros = {f"theta{row}" for row, turns in enumerate(arm.joints, start=1) if turns}
-    rigid = nearest_rigid(arm, fixed=set(dh_names(len(arm.links))) - zeros)
-    motors, notes = given_back(rigid.arm, read_calibration(Path(args.lerobot)), generic)
+    calibration, rigid = read_calibration(Path(args.lerobot)), nearest_zeros(arm, generic)
+    motors, notes = given_back(rigid.arm, calibration, generic)
     write_new(Path(args.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
     return _told(f"{args.out}: arm {arm.name}, as LeRobot's calibration", (*notes, *rigid.notes))
 
