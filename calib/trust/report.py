@@ -294,8 +294,8 @@ def _sentences(trust: Trust) -> Iterator[str]:
     elif trust.importances:
         first = min(trust.importances, key=lambda one: one.without_m)
         yield (
-            f"Most of it is not known from these points: {_mm(uncertain)} (root mean square). If {first.name} were known,"
-            f" {_mm(first.without_m)} would be left. `armwright plan-poses --criterion tip` proposes points."
+            f'Most of it is not known from these points: {_mm(uncertain)} (root mean square). If "{first.name}" were known'
+            f" exactly, {_mm(first.without_m)} would be left. `armwright plan-poses --criterion tip` proposes points."
         )
     if not trust.predictor.is_tied:
         yield "The arm's base is not tied to a known place: the errors exclude a rigid motion of the whole workspace."

@@ -176,8 +176,9 @@ def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
         return [picture for picture in PICTURES if picture.has(series)]
     by_name = {picture.name: picture for picture in PICTURES}
     names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names or any(name not in by_name for name in names):
-        raise ArmError(f'--what: expected one or more of {", ".join(by_name)}, got "{text}"')
+    wrong = next((name for name in names if name not in by_name), None if names else text)
+    if wrong is not None:
+        raise ArmError(f'--what: expected one or more of {", ".join(by_name)}, got "{wrong}"')
     for name in names:
         if not by_name[name].has(series):
             needs = " (the arm is unknown: give it with --arm)" if series.arm is None and series.cell is None else ""

@@ -235,6 +235,7 @@ def test_what_is_no_recording_is_one_message_that_names_the_file(
     ("options", "said"),
     [
         (["--what", "pie"], "tracking, errors"),
+        (["--what", "tracking,curents"], 'got "curents"'),
         (["--what", ","], "tracking, errors"),
         (["--joints", "4"], "from 1 to 3"),
         (["--joints", "0"], "from 1 to 3"),
