@@ -208,7 +208,8 @@ def noises_of(scene: SeriesScene, rest: Array, rows: Picked) -> list[Noise]:
     return noises
 
 
-BARRED_MOST = 4  # times that is searched, each without the laws that the one before bent too far
+BARRED_MOST = 4  # times that is searched, each without the laws that stood for something else in the one before
+GONE_BY_s = 1e-9  # time constant of a drift that is over at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,9 +262,9 @@ def weighed(
     search, begin = MergingSearch(evidence), list(starts)
     sets = search.run(begin)
     for _ in range(BARRED_MOST - 1):
-        if not (bent := _bent_too_far(evidence, linear, sets[0], point)):
+        if not (others := _bent_too_far(evidence, linear, sets[0], point) | _gone_by(evidence, linear, sets[0], point)):
             break
-        search.bar(bent)
+        search.bar(others)
         sets = search.run([search.keys(sets[0].members), *begin])
     return SeriesFit(point, linear, tuple(noises), gram, evidence, tuple(sets), included(evidence, sets), rows)
 
@@ -320,3 +321,19 @@ def residual_of(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = 
     size[: linear.first] = np.clip(size[: linear.first], -SURE_sd, SURE_sd)
     size *= np.concatenate([np.ones(linear.first), *factors])
     return np.asarray(linear.y - linear.explained(numbers, size))
+
+
+def _gone_by(evidence: Evidence, linear: SeriesLinear, best: Weighed, point: OperatingPoint) -> set[Key]:
+    """Drifts of a set that had gone by before the rows begin: what such a one does is a zero of its joint, the geometry's."""
+    barred, scene = set(), point.scene
+    for number, coefficients in evidence.sizes(best).items():
+        term = linear.terms[number]
+        law = None if term.law is None else term.law(coefficients)
+        if law is None or not law.form.is_by_time:
+            continue
+        base, at = point.without(law.name)
+        final = law.at((law.values[0], GONE_BY_s))
+        drift, zero = ((scene.columns.residual((*base, one)) - at)[scene.usable] for one in (law, final))
+        if float(np.linalg.norm(drift - zero)) < SURE_sd:
+            barred.add(term.key)
+    return barred

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -93,3 +95,15 @@ def test_what_is_no_law_of_the_sensors_is_not_taken_off_and_the_file_leaves_the_
     assert found.after_si["tip_m"] < 1.1 * found.noise_floor["tip_m"]
     for channel in ("current_A", "voltage_V"):
         assert found.after_si[channel] == pytest.approx(found.before_si[channel], rel=1e-6)
+
+
+@pytest.mark.nightly
+def test_a_drift_that_had_gone_by_before_the_runs_is_a_zero_and_no_drift() -> None:
+    """The same log, whose clock began earlier: a drift of seconds is then an angle that is always off."""
+    (case,) = made([asked("rough", 1_821_007)])
+    log = log_of_case(case)
+    later = dataclasses.replace(log, runs=tuple(dataclasses.replace(run, t_s=run.t_s + 100.0) for run in log.runs))
+    in_time, gone_by = (find(arm_of(case.arm_toml), one, candidates=("thermal_drift", "encoder_scale")) for one in (log, later))
+    assert names(in_time) == {EffectName("thermal_drift", 2)}
+    assert names(gone_by) == set()
+    assert gone_by.unknown is not None
