@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arm_problem.arm_model import dh_names
+from calib.arm_problem.arm_model import ArmModel, dh_names
 from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.arm_problem.posed import TARGET, whole_problem
@@ -31,7 +31,6 @@ from control.model.arm import Arm
 
 POSES = 1000  # drawn; those below the floor are left out
 ROUNDS = 5  # Gauss-Newton's: deviations of some mm have settled after three
-THETA = 1  # column of a DH table
 OF_LOADS = ("backlash", "joint_compliance", "link_flexure")
 
 
@@ -53,10 +52,10 @@ def nearest_rigid(arm: Arm, known: Collection[str] = ()) -> RigidArm:
 def nearest_zeros(arm: Arm, generic: Arm) -> RigidArm:
     """For a program that keeps the links of the `generic` arm, and learns the joints' zeros alone. ArmError: another arm."""
     arm, generic = in_the_same_rows(arm, generic)
-    turns, rows = np.array(arm.joints), np.array(generic.dh)
-    rows[turns, THETA] = arm.dh[turns, THETA]
-    names = np.array(dh_names(len(rows))).reshape(rows.shape)
-    fixed = set(names.ravel()) - set(names[turns, THETA])
+    zeros, names, rows = ArmModel(arm).theta_places, dh_names(len(arm.links)), np.array(generic.dh)
+    for place in zeros:
+        rows.flat[place] = arm.dh.flat[place]
+    fixed = set(names) - {names[place] for place in zeros}
     how = f"the zeros are those with which the links of {generic.name} come nearest to this arm", "with the file's zeros"
     return _nearest(arm, replace(arm.with_dh(rows), effects=()), fixed, how)
 

@@ -108,7 +108,7 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class TermGroup:
     """All terms of c columns: numbers (t,), places (t, c), least and largest standard deviation of each column over all scales
     (t, c), G of tips and of currents (t, c, c).
     """
@@ -199,12 +199,12 @@ class Evidence:
             None if self.gram.current is None else self.gram.current[across],
         )
 
-    def _group(self, numbers: Places) -> Group:
+    def _group(self, numbers: Places) -> TermGroup:
         places = np.array([self.places[k] for k in numbers])
         least, most = (np.array([extreme(self.scales[k][0], axis=0) for k in numbers]) for extreme in (np.min, np.max))
         across = places[:, :, None], places[:, None, :]
         current = None if self.gram.current is None else self.gram.current[across]
-        return Group(numbers, places, least, most, self.gram.tip[across], current)
+        return TermGroup(numbers, places, least, most, self.gram.tip[across], current)
 
     def _acts(self, member: Member) -> tuple[Places, Places, Array]:
         """A member's columns whose prior standard deviation is not nought: which of its own, their places, and that deviation."""
@@ -419,7 +419,7 @@ def _root(inner: Array) -> Array:
     return np.asarray(np.linalg.cholesky(inner))
 
 
-def _left(of: Batch | Group, taken: Array, kappa: float) -> Array:
+def _left(of: Batch | TermGroup, taken: Array, kappa: float) -> Array:
     """What a set leaves of the terms' own G (t, c, c), of which it takes (t, c, k)."""
     seen = of.tip / kappa**2
     if of.current is not None:

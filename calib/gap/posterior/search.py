@@ -38,7 +38,7 @@ BESIDE = 2  # terms that are tried in the place of two
 
 
 @dataclass(frozen=True, slots=True)
-class Expanded:
+class Successors:
     """What a set led to, all of it weighed: keys that were tried, and whether in the place of its members, too."""
 
     tried: frozenset[Key]
@@ -51,7 +51,7 @@ class Search:
     def __init__(self, evidence: Evidence, forced: Collection[Key] = ()) -> None:
         self.evidence, self.forced = evidence, frozenset(forced) & evidence.of_key.keys()
         self.seen: dict[frozenset[Key], Weighed] = {}
-        self.expanded: dict[frozenset[Key], Expanded] = {}
+        self.expanded: dict[frozenset[Key], Successors] = {}
 
     def keys(self, members: Iterable[Member]) -> frozenset[Key]:
         """Of a set."""
@@ -131,7 +131,7 @@ class Search:
         for members in larger[:GROWTH]:
             self.weigh(members)
         if self._best > weighed.log + 1.0:  # it is not at its best yet
-            self.expanded[keys] = Expanded(self._tried(larger), False)
+            self.expanded[keys] = Successors(self._tried(larger), False)
             return
         for members in larger[GROWTH:]:
             self.weigh(members)
@@ -149,7 +149,7 @@ class Search:
                 for members in exchanged:
                     self.weigh(members)
                 larger += exchanged
-        self.expanded[keys] = Expanded(self._tried(larger), is_best)
+        self.expanded[keys] = Successors(self._tried(larger), is_best)
 
     @property
     def _best(self) -> float:
