@@ -2,7 +2,7 @@
 
 import sys
 
-from firmware_iface.installation import run_command
+from firmware_iface.interrupts import run_command
 
 if __name__ == "__main__":
     sys.exit(run_command())

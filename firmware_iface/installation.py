@@ -43,23 +43,6 @@ def command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", str(Path(__file__).resolve()), module, *arguments]
 
 
-def run_command() -> int:
-    """The command `armwright`: a sentence and exit status 2 where another package is in the way."""
-    try:
-        from firmware_iface import interrupts
-
-        interrupts.end_at_once("armwright")
-        claim()
-    except KeyboardInterrupt:  # Python's own handler was still in force
-        sys.stderr.write("armwright: interrupted\n")
-        return 130
-    except ImportError as error:
-        sys.stderr.write(f"armwright: {error}\n")
-        return 2
-    status: int = importlib.import_module("console.main").main()
-    return status
-
-
 class _Beside:
     """Finds our top-level packages beside this one, before any other finder."""
 

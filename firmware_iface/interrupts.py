@@ -18,6 +18,28 @@ STATUS = 130
 _AGAIN_S = 0.02
 
 
+def run_command() -> int:
+    """The command `armwright`: a sentence and exit status 2 where another package is in the way.
+
+    It stands here, as the handlers come first: whatever is imported before them, an interrupt would answer with a traceback.
+    """
+    try:
+        end_at_once("armwright")
+        import importlib
+
+        from firmware_iface import installation
+
+        installation.claim()
+    except KeyboardInterrupt:  # Python's own handler was still in force
+        sys.stderr.write("armwright: interrupted\n")
+        return STATUS
+    except ImportError as error:
+        sys.stderr.write(f"armwright: {error}\n")
+        return 2
+    status: int = importlib.import_module("console.main").main()
+    return status
+
+
 def end_at_once(name: str = "") -> None:
     """From now on they end this process, with one line on standard error if the program has a `name`."""
 

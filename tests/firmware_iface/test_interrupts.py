@@ -17,7 +17,7 @@ from firmware_iface.installation import command
 SAID = "armwright: interrupted\n"
 PROGRAM = """
 import os, signal, sys
-from firmware_iface.installation import run_command
+from firmware_iface.interrupts import run_command
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background job that the tests may be
 
