@@ -10,16 +10,16 @@ from math import dist
 
 from control.model.description import load_arm
 from control.safety.table import Mode
-from firmware_iface.canopen import wire as canopen
-from firmware_iface.canopen.drive import POSITION
-from firmware_iface.dynamixel import wire as dynamixel
+from firmware_iface import canopen_wire as canopen
+from firmware_iface import dynamixel_wire as dynamixel
+from firmware_iface import feetech_wire as feetech
+from firmware_iface import moteus as moteus
+from firmware_iface import odrive as odrive
+from firmware_iface import roboclaw as roboclaw
+from firmware_iface import vesc as vesc
+from firmware_iface.canopen import POSITION
 from firmware_iface.errors import ConnectionFailed
-from firmware_iface.feetech import wire as feetech
 from firmware_iface.link import CanFormat
-from firmware_iface.moteus import wire as moteus
-from firmware_iface.odrive import wire as odrive
-from firmware_iface.roboclaw import wire as roboclaw
-from firmware_iface.vesc import wire as vesc
 from hil_mocks.devices.cia402_drive import Cia402Mock
 from hil_mocks.devices.dynamixel import DynamixelLineMock
 from hil_mocks.devices.feetech import FeetechLineMock

@@ -12,8 +12,8 @@ import pytest
 from control.hardware.measurement import Measurement
 from control.model.joint_map import JointMap
 from firmware_iface.node_bus import LOST, AnswersInTurn, Dating, SteadyMessages
-from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
-from firmware_iface.vesc.controller import Vesc, VescBus
+from firmware_iface.odrive import OdriveAxis, OdriveBus
+from firmware_iface.vesc import Vesc, VescBus
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from tests.cell import RIGHT

@@ -11,22 +11,18 @@ from typing import Any
 from control.hardware.bought.can_node import CountingNode, NodeEncoder
 from control.hardware.bought.smart_servo import ServoEncoder
 from control.hardware.interface import Feedback
-from firmware_iface.canopen import wire as canopen_wire
-from firmware_iface.canopen.drive import CanOpenBus, Cia402Drive
-from firmware_iface.dynamixel import wire as dynamixel_wire
-from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
+from firmware_iface import canopen_wire, dynamixel_wire, feetech_wire
+from firmware_iface import roboclaw as claw_wire
+from firmware_iface import vesc as vesc_wire
+from firmware_iface.canopen import CanOpenBus, Cia402Drive
+from firmware_iface.dynamixel import DynamixelLine, DynamixelServo
 from firmware_iface.errors import ArmwrightError
-from firmware_iface.feetech import wire as feetech_wire
-from firmware_iface.feetech.servo import FeetechLine, FeetechServo
-from firmware_iface.moteus.controller import Moteus, MoteusBus
+from firmware_iface.feetech import FeetechLine, FeetechServo
+from firmware_iface.moteus import Moteus, MoteusBus
 from firmware_iface.motor.cia402 import DriveState
-from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
-from firmware_iface.odrive.wire import OdriveCommand
-from firmware_iface.roboclaw import wire as claw_wire
-from firmware_iface.roboclaw.board import PacketLine, RoboClaw
-from firmware_iface.vesc import wire as vesc_wire
-from firmware_iface.vesc.controller import FILLS, TO_HOST, Vesc, VescBus
-from firmware_iface.vesc.wire import Packet
+from firmware_iface.odrive import OdriveAxis, OdriveBus, OdriveCommand
+from firmware_iface.roboclaw import PacketLine, RoboClaw
+from firmware_iface.vesc import FILLS, TO_HOST, Packet, Vesc, VescBus
 
 STEP_s = 0.02  # of time at each wait: a conversation ends after some dozen
 NODE = 1

@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 from binascii import crc_hqx
 
-from firmware_iface.canopen import wire as canopen_wire
-from firmware_iface.odrive.wire import OdriveCommand
-from firmware_iface.vesc import wire as vesc_wire
-from firmware_iface.vesc.wire import Packet
+from firmware_iface import canopen_wire
+from firmware_iface import vesc as vesc_wire
+from firmware_iface.odrive import OdriveCommand
+from firmware_iface.vesc import Packet
 from tests.fuzz.bought import AT_ONCE, CANOPEN_IDS, MOTEUS_IDS, NODE, ODRIVE_IDS, VESC_IDS, Frame, packed
 
 MOTEUS_VALUES = (

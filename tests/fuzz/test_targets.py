@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_iface.encoder import cobs, wire
-from firmware_iface.odrive.wire import OdriveCommand
+from firmware_iface.odrive import OdriveCommand
 from tests.fuzz.bought import CANOPEN_IDS, MOTEUS_IDS, ODRIVE_IDS, packed
 from tests.fuzz.bought_seeds import MOTEUS_VALUES, answers
 from tests.fuzz.frames import mutated, wrong_accepts

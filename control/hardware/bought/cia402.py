@@ -14,7 +14,7 @@ from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can
-from firmware_iface.canopen.drive import (
+from firmware_iface.canopen import (
     CYCLE_TIME,
     CYCLIC_POSITION,
     CYCLIC_TORQUE,

@@ -13,11 +13,10 @@ from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, Set
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
+from firmware_iface import moteus
 from firmware_iface.can_link import open_fd_can
 from firmware_iface.errors import BoardSilent, WrongIdentity
-from firmware_iface.moteus import wire
-from firmware_iface.moteus.controller import Moteus, MoteusBus
-from firmware_iface.moteus.wire import MoteusMode
+from firmware_iface.moteus import Moteus, MoteusBus, MoteusMode
 
 # Fault codes of the register reference, as the loop's faults; the rest concerns its encoder, its settings or itself.
 _CODES_OF: Final = {
@@ -127,24 +126,24 @@ class MoteusDrive(PositionLoopDrive):
         super().write(wanted, modes, output, feedforward_V, feedback)
         self._was_found_driving = wanted is words.Wanted.AS_FOUND and self._board.is_driving
         if wanted is words.Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
-            self._board.wanted = wire.stop(self._board.number)
+            self._board.wanted = moteus.stop(self._board.number)
 
     def _look(self) -> None:
         self._held = None
-        self._board.wanted = wire.ask(self._board.number)
+        self._board.wanted = moteus.ask(self._board.number)
 
     def _go(self, count: int, speed_count_s: float) -> None:
         board, turn = self._board, self._board.counts_per_turn
-        command = wire.Position(count / turn, speed_count_s / turn, 0.0, 1.0, self._most_Nm, self._watchdog_s)
-        board.wanted = wire.position(board.number, command)
+        command = moteus.Position(count / turn, speed_count_s / turn, 0.0, 1.0, self._most_Nm, self._watchdog_s)
+        board.wanted = moteus.position(board.number, command)
 
     def _push(self, torque_Nm: float) -> None:
-        command = wire.torque(torque_Nm, self._most_Nm, self._watchdog_s)
-        self._board.wanted = wire.position(self._board.number, command)
+        command = moteus.torque(torque_Nm, self._most_Nm, self._watchdog_s)
+        self._board.wanted = moteus.position(self._board.number, command)
 
     def _brake(self) -> None:
         self._held = None
-        self._board.wanted = wire.brake(self._board.number)
+        self._board.wanted = moteus.brake(self._board.number)
 
     def _fault_left(self) -> str:
         """The windings stay shorted."""
@@ -170,8 +169,8 @@ def open_boards(boards: Sequence[Board], opened: Opened) -> None:
         with collect(opened.failures):
             board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
             is_absolute = arm.has_absolute_encoder(drive)
-            of_rotor = wire.REFERENCED_TO_ROTOR if arm.turn_of_home_rad(drive) else 0
-            identity = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
+            of_rotor = moteus.REFERENCED_TO_ROTOR if arm.turn_of_home_rad(drive) else 0
+            identity = board.identify(moteus.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
             unsaid = _require_settings(board, drive)
             encoder = own_encoder(board, drive, opened, is_absolute, is_asked=True)
             opened.drives.append(MoteusDrive(board, encoder, drive, SetPointSpeed(drive, opened), arm.limits.watchdog_s))

@@ -13,8 +13,7 @@ from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, Set
 from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from firmware_iface.can_link import open_can
-from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
-from firmware_iface.odrive.wire import Error
+from firmware_iface.odrive import Error, OdriveAxis, OdriveBus
 
 # Errors of an axis as the loop's faults; the rest concerns its encoder, its settings or itself.
 _OVER_CURRENT: Final = (

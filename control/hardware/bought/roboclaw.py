@@ -14,11 +14,10 @@ from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import AskedEncoders, Opened, collect
 from control.model.arm import Board, Drive
 from control.model.drive import OWN_INPUT
+from firmware_iface import roboclaw
 from firmware_iface.errors import BoardFaulted, MisuseError
 from firmware_iface.link import ByteLink
-from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.board import CHANNELS, PacketLine, RoboClaw
-from firmware_iface.roboclaw.wire import RoboclawStatus
+from firmware_iface.roboclaw import CHANNELS, PacketLine, RoboClaw, RoboclawStatus
 
 # What an error of the board is to the loop: of both motors, and by channel.
 _SHARED = (
@@ -122,7 +121,7 @@ class RoboClawDrives:
     def take(self, feedback: Feedback) -> None:
         """Write currents, supply and the states kept here."""
         board, status = self._board, self._board.status
-        if status is not None and status & wire.ERRORS:
+        if status is not None and status & roboclaw.ERRORS:
             for channel in range(CHANNELS):
                 self._faults[channel] |= _faults(status, channel)
         replied_at_s = min(board.obeyed_at_s, board.currents_at_s) if board.is_commanded else board.currents_at_s
@@ -184,8 +183,8 @@ class RoboClawDrives:
     def acknowledge_faults(self) -> None:
         """Forget the errors that are gone. Raises BoardFaulted for those that are not."""
         status = self._board.read_status()
-        if status & wire.ERRORS:
-            names = ", ".join(str(one.name).replace("_", " ").lower() for one in RoboclawStatus(status & wire.ERRORS))
+        if status & roboclaw.ERRORS:
+            names = ", ".join(str(one.name).replace("_", " ").lower() for one in RoboclawStatus(status & roboclaw.ERRORS))
             raise BoardFaulted(f"{self._board.where}: its error ({names}) cannot be acknowledged: the cause persists")
         self._faults = [0] * CHANNELS
 
@@ -216,7 +215,7 @@ def _duty(volts: float, supply_V: float | None) -> int:
     if not supply_V:
         return 0
     share = min(max(volts / supply_V, -1.0), 1.0)
-    return round(share * wire.FULL_DUTY)
+    return round(share * roboclaw.FULL_DUTY)
 
 
 def _by_channel(drives: Mapping[int, Drive]) -> tuple[float, float]:

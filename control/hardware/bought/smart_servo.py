@@ -31,9 +31,9 @@ from control.hardware.words import (
 from control.model.arm import Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
+from firmware_iface.dynamixel import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardFaulted, WrongIdentity
-from firmware_iface.feetech.servo import FeetechLine, FeetechServo
+from firmware_iface.feetech import FeetechLine, FeetechServo
 from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import SmartServo

@@ -14,10 +14,10 @@ from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from control.model.joint_map import JointMap
+from firmware_iface import vesc
 from firmware_iface.can_link import open_extended_can
 from firmware_iface.errors import MisuseError, WrongIdentity
-from firmware_iface.vesc import wire
-from firmware_iface.vesc.controller import Vesc, VescBus
+from firmware_iface.vesc import Vesc, VescBus
 
 # mc_fault_code of the firmware's datatypes.h, as the loop's faults; the rest concerns encoder and sensors.
 _CODES_OF: Final = {
@@ -65,13 +65,13 @@ class VescDrive(NodeDrive):
         feedback.sent_V[joint] = volts if mode is OutputMode.VOLTAGE else math.nan
         number = board.number
         if mode is OutputMode.POSITION and self._encoder is not None:
-            board.wanted = wire.position(number, self._map.count(output[joint]) - self._encoder.offset)
+            board.wanted = vesc.position(number, self._map.count(output[joint]) - self._encoder.offset)
         elif mode is OutputMode.CURRENT:
-            board.wanted = wire.current(number, self._sign * output[joint])
+            board.wanted = vesc.current(number, self._sign * output[joint])
         elif mode is OutputMode.OFF:
-            board.wanted = wire.current(number, 0.0)
+            board.wanted = vesc.current(number, 0.0)
         else:
-            board.wanted = wire.duty(number, _share(self._sign * volts, board.supply_V))
+            board.wanted = vesc.duty(number, _share(self._sign * volts, board.supply_V))
 
     def has_torque(self, joint: int) -> bool:
         """Whether it was found giving its motor a voltage, which may pass through 0 while it holds; or is driven from here."""
@@ -89,7 +89,7 @@ class VescDrive(NodeDrive):
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
         self._faults |= words.EMERGENCY_STOP
-        shorted = self._board.wanted = wire.duty(self._board.number, 0.0)
+        shorted = self._board.wanted = vesc.duty(self._board.number, 0.0)
         self._bus.send(shorted)
 
 
@@ -122,7 +122,7 @@ def _require_settings(board: Vesc, watchdog_s: float) -> str:
 def _require_one_turn(board: Vesc, drive: Drive) -> None:
     """A VESC turns to an angle the shorter way, so the joint's whole range must be less than half a turn of the encoder."""
     counts = JointMap(drive).counts_per_radian * (drive.joint_upper_rad - drive.joint_lower_rad)
-    if drive.encoder_board >= 0 or not abs(counts) < 0.5 * wire.COUNTS_PER_TURN:
+    if drive.encoder_board >= 0 or not abs(counts) < 0.5 * vesc.COUNTS_PER_TURN:
         raise MisuseError(
             f'{board.where}: [drive.pid] mode = "position" needs its own encoder at the joint, and a range below half a turn: it'
             ' turns the shorter way to an angle; use "voltage" or "current"'

@@ -9,10 +9,10 @@ import pytest
 
 from control.model.joint_map import JointMap
 from control.safety.table import Mode
-from firmware_iface.canopen.drive import MAKERS
+from firmware_iface import vesc
+from firmware_iface.canopen import MAKERS
 from firmware_iface.errors import ConnectionFailed
-from firmware_iface.roboclaw.wire import RoboclawCommand
-from firmware_iface.vesc import wire
+from firmware_iface.roboclaw import RoboclawCommand
 from hil_mocks.devices import roboclaw
 from hil_mocks.devices.cia402_drive import MAXON, Cia402Mock, Cia402Setup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
@@ -253,8 +253,8 @@ def test_a_vesc_whose_time_out_or_application_is_not_as_needed_is_refused(
 
 def test_a_vesc_turns_to_an_angle_the_shorter_way() -> None:
     mock = VescMock(VescSetup(5, 0.2, 8.0), lambda: 0.9)
-    for moment, (count, sign) in enumerate(((wire.COUNTS_PER_TURN // 10, 1.0), (wire.COUNTS_PER_TURN // 2, -1.0))):
-        mock.receive(*wire.position(5, count), now_s=0.001 * moment)
+    for moment, (count, sign) in enumerate(((vesc.COUNTS_PER_TURN // 10, 1.0), (vesc.COUNTS_PER_TURN // 2, -1.0))):
+        mock.receive(*vesc.position(5, count), now_s=0.001 * moment)
         mock.tick(0.001 * (1 + moment), 0.0, 24.0)
         kind, volts = mock.output
         assert kind == "voltage"

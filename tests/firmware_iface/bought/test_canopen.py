@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from firmware_iface.canopen import wire
-from firmware_iface.canopen.drive import STATUSWORD, CanOpenBus, Cia402Drive
-from firmware_iface.canopen.wire import DictionaryObject
+from firmware_iface import canopen_wire
+from firmware_iface.canopen import STATUSWORD, CanOpenBus, Cia402Drive
+from firmware_iface.canopen_wire import DictionaryObject
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, MisuseError
 from firmware_iface.motor.cia402 import DriveState
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
@@ -111,14 +111,14 @@ def cell() -> Cell:
 def test_frames_are_those_of_the_standard() -> None:
     wired = Wire(lambda can_id, payload: [])
     bus = CanOpenBus(wired, wired)
-    assert wire.read_request(STATUSWORD) == golden("SDO read 0x6041:00")[1]
-    assert wire.write_request(DictionaryObject(0x6060, 0, "i8"), 8) == golden("SDO write 0x6060:00 = 8")[1]
-    assert wire.write_request(DictionaryObject(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
-    consumer = wire.write_request(DictionaryObject(0x1016, 1, "u32"), 127 << 16 | 200)
+    assert canopen_wire.read_request(STATUSWORD) == golden("SDO read 0x6041:00")[1]
+    assert canopen_wire.write_request(DictionaryObject(0x6060, 0, "i8"), 8) == golden("SDO write 0x6060:00 = 8")[1]
+    assert canopen_wire.write_request(DictionaryObject(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
+    consumer = canopen_wire.write_request(DictionaryObject(0x1016, 1, "u32"), 127 << 16 | 200)
     assert consumer == golden("SDO write 0x1016:01 = node 127, 200 ms")[1]
-    mapped = wire.write_request(DictionaryObject(0x1A00, 1, "u32"), STATUSWORD.mapping)
+    mapped = canopen_wire.write_request(DictionaryObject(0x1A00, 1, "u32"), STATUSWORD.mapping)
     assert mapped == golden("SDO write 0x1A00:01 = 0x60410010")[1]
-    bus.nmt(wire.NmtCommand.START, NODE)
+    bus.nmt(canopen_wire.NmtCommand.START, NODE)
     bus.sync()
     assert wired.sent == [golden("NMT start node 5"), golden("SYNC")]
 

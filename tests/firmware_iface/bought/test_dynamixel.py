@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.loop.memory_link import byte_pair
-from firmware_iface.dynamixel import wire
-from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
+from firmware_iface import dynamixel_wire
+from firmware_iface.dynamixel import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardRefused, BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup, status_packet
@@ -22,11 +22,11 @@ GOLDEN = {
 
 
 def test_packets_are_those_of_the_manual() -> None:
-    assert wire.packet(1, Instruction.PING) == GOLDEN["PING id 1"]
-    assert wire.read(1, 132, 4) == GOLDEN["READ id 1 present position"]
-    assert wire.write(1, 116, struct.pack("<i", 512)) == GOLDEN["WRITE id 1 goal position 512"]
-    assert wire.sync_read((1, 2), 132, 4) == GOLDEN["SYNC READ ids 1 and 2 present position"]
-    status = wire.status_in(GOLDEN["STATUS id 1 ping, model 1030 firmware 38"])
+    assert dynamixel_wire.packet(1, Instruction.PING) == GOLDEN["PING id 1"]
+    assert dynamixel_wire.read(1, 132, 4) == GOLDEN["READ id 1 present position"]
+    assert dynamixel_wire.write(1, 116, struct.pack("<i", 512)) == GOLDEN["WRITE id 1 goal position 512"]
+    assert dynamixel_wire.sync_read((1, 2), 132, 4) == GOLDEN["SYNC READ ids 1 and 2 present position"]
+    status = dynamixel_wire.status_in(GOLDEN["STATUS id 1 ping, model 1030 firmware 38"])
     assert status == (1, 0, struct.pack("<HB", 1030, 38), 14)
 
 

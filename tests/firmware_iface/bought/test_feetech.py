@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.loop.memory_link import byte_pair
+from firmware_iface import feetech_wire
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
-from firmware_iface.feetech import wire
-from firmware_iface.feetech.servo import CURRENT_UNIT_A, FeetechLine, FeetechServo
+from firmware_iface.feetech import CURRENT_UNIT_A, FeetechLine, FeetechServo
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
@@ -19,19 +19,19 @@ GOLDEN = {
 
 
 def test_packets_are_those_of_the_manual() -> None:
-    assert wire.packet(1, Instruction.PING) == GOLDEN["PING id 1"]
-    assert wire.read(1, 56, 2) == GOLDEN["READ id 1 position"]
-    assert wire.write(1, 40, b"\x01") == GOLDEN["WRITE id 1 torque on"]
-    goals = {1: wire.raw(2048), 2: wire.raw(-2)}
-    assert wire.sync_write(42, goals) == GOLDEN["SYNC WRITE positions 2048 and -2"]
-    assert wire.sync_read((1, 2), 56, 8) == GOLDEN["SYNC READ ids 1 and 2, eight bytes from the position on"]
-    assert wire.status_in(GOLDEN["STATUS id 1"]) == (1, 0, b"", 6)
-    assert wire.status_in(GOLDEN["STATUS id 1 position 2048"]) == (1, 0, wire.raw(2048), 8)
+    assert feetech_wire.packet(1, Instruction.PING) == GOLDEN["PING id 1"]
+    assert feetech_wire.read(1, 56, 2) == GOLDEN["READ id 1 position"]
+    assert feetech_wire.write(1, 40, b"\x01") == GOLDEN["WRITE id 1 torque on"]
+    goals = {1: feetech_wire.raw(2048), 2: feetech_wire.raw(-2)}
+    assert feetech_wire.sync_write(42, goals) == GOLDEN["SYNC WRITE positions 2048 and -2"]
+    assert feetech_wire.sync_read((1, 2), 56, 8) == GOLDEN["SYNC READ ids 1 and 2, eight bytes from the position on"]
+    assert feetech_wire.status_in(GOLDEN["STATUS id 1"]) == (1, 0, b"", 6)
+    assert feetech_wire.status_in(GOLDEN["STATUS id 1 position 2048"]) == (1, 0, feetech_wire.raw(2048), 8)
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 4095, -32767])
 def test_signed_numbers_have_their_sign_in_bit_15(value: int) -> None:
-    assert wire.signed(int.from_bytes(wire.raw(value), "little")) == value
+    assert feetech_wire.signed(int.from_bytes(feetech_wire.raw(value), "little")) == value
 
 
 class Cable:
@@ -238,10 +238,10 @@ def test_torque_comes_with_the_goal_where_the_servo_stands() -> None:
     cable = Cable()
     line = FeetechLine(cable.link, cable)
     servo = FeetechServo(line, 3, "elbow")
-    cable.servo.table[42:44] = wire.raw(7)  # an old goal
+    cable.servo.table[42:44] = feetech_wire.raw(7)  # an old goal
     servo.read_state()
     servo.post_torque(True)
     for _ in range(4):
         line.update()
         cable.wait_until_s(cable.now_s() + 0.005)
-    assert (servo.is_torque_on, bytes(cable.servo.table[42:44])) == (True, wire.raw(1024))
+    assert (servo.is_torque_on, bytes(cable.servo.table[42:44])) == (True, feetech_wire.raw(1024))

@@ -5,10 +5,9 @@ from typing import Any
 
 import pytest
 
+from firmware_iface import moteus
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
-from firmware_iface.moteus import wire
-from firmware_iface.moteus.controller import Moteus, MoteusBus
-from firmware_iface.moteus.wire import MoteusMode, Position, Register
+from firmware_iface.moteus import Moteus, MoteusBus, MoteusMode, Position, Register
 from hil_mocks.devices.moteus import OVER_HEATED, MoteusMock, MoteusSetup
 from tests.firmware_iface.mock_wire import BusRig, golden
 
@@ -27,20 +26,20 @@ class Cell(BusRig[MoteusBus]):
 @pytest.mark.parametrize(
     ("name", "made"),
     [
-        ("identity query", (wire.ask(ID, wire.IDENTITY_QUERY))),
+        ("identity query", (moteus.ask(ID, moteus.IDENTITY_QUERY))),
         (
             "position 1.5 turns, -0.25 turns/s, 0.1 Nm, at most 0.6 Nm, 0.1 s",
-            wire.position(ID, Position(1.5, -0.25, 0.1, 1.0, 0.6, 0.1)),
+            moteus.position(ID, Position(1.5, -0.25, 0.1, 1.0, 0.6, 0.1)),
         ),
-        ("brake", wire.brake(ID)),
+        ("brake", moteus.brake(ID)),
     ],
 )
-def test_what_is_sent_is_what_the_reference_says(name: str, made: wire.Frame) -> None:
+def test_what_is_sent_is_what_the_reference_says(name: str, made: moteus.Frame) -> None:
     assert made == golden("moteus.txt", name)
 
 
 def test_the_references_own_reply_is_read() -> None:
-    found = wire.values(golden("moteus.txt", "reply of the reference's example")[1])
+    found = moteus.values(golden("moteus.txt", "reply of the reference's example")[1])
     assert found == {0: 10, 1: 80, 2: 256, 3: -144, 13: 24, 14: 20, 15: 0}
 
 
@@ -48,7 +47,7 @@ def test_all_values_come_with_the_reply_to_a_command() -> None:
     cell = Cell()
     assert cell.board.identify() == "firmware 0x010304, serial number 000000030000000200000001"
     cell.mock.is_home = True
-    cell.board.wanted = wire.brake(cell.board.number)
+    cell.board.wanted = moteus.brake(cell.board.number)
     cell.run(0.008)
     board = cell.board
     assert (board.count, board.supply_V, board.current_A) == (CPR // 4, pytest.approx(24.0), 0.5)
@@ -65,13 +64,13 @@ def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> 
     assert (cell.board.counted.at_s, cell.board.at_s) == (asked_s, cell.wired.now_s())
 
 
-@pytest.mark.parametrize("others", [wire.stop(ID), wire.brake(ID)])
-def test_one_that_others_stop_or_brake_does_not_run(others: wire.Frame) -> None:
+@pytest.mark.parametrize("others", [moteus.stop(ID), moteus.brake(ID)])
+def test_one_that_others_stop_or_brake_does_not_run(others: moteus.Frame) -> None:
     cell = Cell()
     cell.board.identify()
-    cell.board.wanted = wire.brake(ID)
+    cell.board.wanted = moteus.brake(ID)
     cell.run(0.02)
-    cell.board.wanted = wire.position(ID, HOLD)
+    cell.board.wanted = moteus.position(ID, HOLD)
     seen = []
     for _ in range(10):
         cell.run(0.004)
@@ -94,10 +93,10 @@ def test_the_first_question_commands_nothing() -> None:
 
 def test_a_torque_is_position_mode_without_its_gains() -> None:
     cell = Cell()
-    cell.board.wanted = wire.position(ID, wire.torque(0.1, 0.3, 0.1))
+    cell.board.wanted = moteus.position(ID, moteus.torque(0.1, 0.3, 0.1))
     cell.run(0.008)
     assert cell.mock.output == ("current", pytest.approx(2.0))
-    cell.board.wanted = wire.position(ID, wire.torque(0.5, 0.3, 0.1))
+    cell.board.wanted = moteus.position(ID, moteus.torque(0.5, 0.3, 0.1))
     cell.run(0.008)
     assert cell.mock.output == ("current", pytest.approx(6.0)), "limited by the torque that the command allows"
 
@@ -119,7 +118,7 @@ def test_registers_that_older_firmware_does_not_have_are_told_and_stop_nothing()
     said = cell.board.identify()
     assert said.startswith("firmware 0x000000, ")
     assert said.endswith(", without registers 0x05E, 0x070")
-    cell.board.wanted = wire.position(ID, HOLD)
+    cell.board.wanted = moteus.position(ID, HOLD)
     cell.run(0.1)
     assert (cell.board.is_running, cell.board.resets, cell.board.is_switch_on) == (True, 0, False)
     with pytest.raises(MisuseError, match=r"home state nan, not 2"):
@@ -139,7 +138,7 @@ def test_a_reply_to_another_programs_question_is_neither_a_violation_nor_who_it_
 @pytest.mark.parametrize("up_s", [0.1, 5.0])
 def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into_operation(up_s: float) -> None:
     cell = Cell()
-    cell.board.wanted = wire.position(ID, HOLD)
+    cell.board.wanted = moteus.position(ID, HOLD)
     cell.run(0.02)
     cell.wired.run(up_s)
     cell.run(0.02)
@@ -169,7 +168,7 @@ def test_the_end_of_the_counters_range_is_no_restart() -> None:
 
 def test_a_fault_and_a_time_out_end_by_a_stop_alone_and_a_persistent_cause_comes_back() -> None:
     cell = Cell()
-    cell.board.wanted = wire.position(ID, HOLD)
+    cell.board.wanted = moteus.position(ID, HOLD)
     cell.run(0.008)
     cell.wired.run(0.2)
     cell.run(0.008)

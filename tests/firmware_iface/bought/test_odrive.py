@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from firmware_iface import odrive
 from firmware_iface.errors import (
     BoardFaulted,
     BoardRefused,
@@ -13,9 +14,7 @@ from firmware_iface.errors import (
     ProtocolViolation,
     WrongIdentity,
 )
-from firmware_iface.odrive import wire
-from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
-from firmware_iface.odrive.wire import AxisState, Error, OdriveCommand, OdriveControlMode
+from firmware_iface.odrive import AxisState, Error, OdriveAxis, OdriveBus, OdriveCommand, OdriveControlMode
 from hil_mocks.devices.odrive import CLOSED_LOOP, ESTOP, IDLE, OdriveMock, OdriveSetup
 from tests.firmware_iface.mock_wire import BusRig, golden
 
@@ -33,26 +32,26 @@ class Cell(BusRig[OdriveBus]):
 @pytest.mark.parametrize(
     ("name", "made"),
     [
-        ("SET_AXIS_STATE closed loop", wire.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL)),
-        ("SET_CONTROLLER_MODE torque", wire.controller_mode(NODE, OdriveControlMode.TORQUE)),
-        ("SET_INPUT_POS -1.5 turns, 2.5 turns/s", wire.position(NODE, -1.5, 2.5)),
-        ("SET_INPUT_TORQUE 0.25 Nm", wire.torque(NODE, 0.25)),
-        ("SET_LIMITS 20 turns/s, 8 A", wire.limits(NODE, 20.0, 8.0)),
-        ("CLEAR_ERRORS", wire.clear_errors(NODE)),
+        ("SET_AXIS_STATE closed loop", odrive.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL)),
+        ("SET_CONTROLLER_MODE torque", odrive.controller_mode(NODE, OdriveControlMode.TORQUE)),
+        ("SET_INPUT_POS -1.5 turns, 2.5 turns/s", odrive.position(NODE, -1.5, 2.5)),
+        ("SET_INPUT_TORQUE 0.25 Nm", odrive.torque(NODE, 0.25)),
+        ("SET_LIMITS 20 turns/s, 8 A", odrive.limits(NODE, 20.0, 8.0)),
+        ("CLEAR_ERRORS", odrive.clear_errors(NODE)),
     ],
 )
-def test_what_is_sent_is_what_the_document_says(name: str, made: wire.Frame) -> None:
+def test_what_is_sent_is_what_the_document_says(name: str, made: odrive.Frame) -> None:
     assert made == golden("odrive.txt", name)
 
 
 def test_what_the_document_says_is_read() -> None:
-    assert wire.heartbeat(golden("odrive.txt", "HEARTBEAT watchdog, closed loop, disarmed")[1]) == (
+    assert odrive.heartbeat(golden("odrive.txt", "HEARTBEAT watchdog, closed loop, disarmed")[1]) == (
         Error.WATCHDOG_TIMER_EXPIRED,
         AxisState.CLOSED_LOOP_CONTROL,
         3,
     )
-    assert wire.pair(golden("odrive.txt", "ENCODER 2.5 turns, -0.5 turns/s")[1]) == (2.5, -0.5)
-    assert wire.pair(golden("odrive.txt", "BUS 24 V, 1 A")[1]) == (24.0, 1.0)
+    assert odrive.pair(golden("odrive.txt", "ENCODER 2.5 turns, -0.5 turns/s")[1]) == (2.5, -0.5)
+    assert odrive.pair(golden("odrive.txt", "BUS 24 V, 1 A")[1]) == (24.0, 1.0)
 
 
 @pytest.mark.parametrize("periods_s", [OdriveSetup(0, 0.05, 8.0).periods_s, ()])
@@ -66,7 +65,7 @@ def test_firmware_0_5_is_told_by_its_answer_and_refused(periods_s: tuple[tuple[i
 def test_answers_about_settings_that_another_program_asks_for_are_no_firmware_0_5() -> None:
     """0.6.10's DBC: TxSdo is u8, u16 which setting, u8, and the value."""
     cell = Cell()
-    cell.wired.put(wire.frame_id(NODE, 0x05), bytes((0, 0x85, 0x01, 0)) + bytes(4))
+    cell.wired.put(odrive.frame_id(NODE, 0x05), bytes((0, 0x85, 0x01, 0)) + bytes(4))
     cell.axis.identify()
 
 
@@ -120,7 +119,7 @@ def test_a_watchdog_that_expired_for_want_of_a_host_is_no_fault_but_another_erro
     assert cell.mock.errors == Error.WATCHDOG_TIMER_EXPIRED
     cell.axis.identify()
     assert not cell.axis.errors
-    cell.mock.receive(wire.frame_id(NODE, ESTOP), b"", cell.wired.now_s())
+    cell.mock.receive(odrive.frame_id(NODE, ESTOP), b"", cell.wired.now_s())
     cell.wired.run(0.3)
     cell.axis.identify()
     assert cell.axis.errors == Error.ESTOP_REQUESTED | Error.WATCHDOG_TIMER_EXPIRED
@@ -173,14 +172,14 @@ def test_a_position_that_is_no_number_is_refused() -> None:
 def test_a_frame_of_another_length_is_a_violation_and_changes_nothing() -> None:
     cell = Cell()
     cell.axis.identify()
-    cell.wired.put(wire.frame_id(NODE, OdriveCommand.BUS), b"\x00\x01")
+    cell.wired.put(odrive.frame_id(NODE, OdriveCommand.BUS), b"\x00\x01")
     with pytest.raises(ProtocolViolation, match="command 0x17 with 2 bytes"):
         cell.bus.update()
     assert cell.axis.supply_V == 24.0
 
 
 def test_a_heartbeat_without_what_follows_the_result_is_read() -> None:
-    assert wire.heartbeat(bytes((0, 0, 0, 1, 8, 3))) == wire.heartbeat(bytes((0, 0, 0, 1, 8, 3, 1, 0)))
+    assert odrive.heartbeat(bytes((0, 0, 0, 1, 8, 3))) == odrive.heartbeat(bytes((0, 0, 0, 1, 8, 3, 1, 0)))
 
 
 def test_without_commands_the_watchdog_frees_the_motor_until_the_errors_are_cleared() -> None:

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.loop.memory_link import MemoryByteLink, byte_pair
+from firmware_iface import roboclaw
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
-from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.board import ANSWER_TIMEOUT_s, PacketLine, RoboClaw
-from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
+from firmware_iface.roboclaw import ANSWER_TIMEOUT_s, PacketLine, RoboClaw, RoboclawCommand, RoboclawStatus
 from hil_mocks.devices.roboclaw import RATES, TIMEOUT, RoboClawLineMock, RoboClawMock
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "roboclaw.txt"
@@ -19,25 +18,25 @@ ROWS = [[cell.strip() for cell in line.split("|")] for line in GOLDEN.read_text(
 @pytest.mark.parametrize("row", ROWS, ids=[row[0] for row in ROWS])
 def test_packets_are_those_of_the_manual(row: list[str]) -> None:
     _, address, command, data, packet = row
-    made = wire.command_packet(int(address, 16), int(command), bytes.fromhex(data))
+    made = roboclaw.command_packet(int(address, 16), int(command), bytes.fromhex(data))
     assert made == bytes.fromhex(packet)
 
 
 def test_any_single_flipped_bit_of_an_answer_is_rejected() -> None:
     mock = RoboClawMock(0x80, lambda channel: (12345, -67)[channel])
-    mock.obey(wire.command_packet(0x80, RoboclawCommand.SET_ENCODER_1, bytes(4)), 0.0)
-    answer = mock.obey(wire.read_packet(0x80, RoboclawCommand.READ_ENCODERS), 0.0)
-    assert wire.reply_data(0x80, RoboclawCommand.READ_ENCODERS, answer) is not None
+    mock.obey(roboclaw.command_packet(0x80, RoboclawCommand.SET_ENCODER_1, bytes(4)), 0.0)
+    answer = mock.obey(roboclaw.read_packet(0x80, RoboclawCommand.READ_ENCODERS), 0.0)
+    assert roboclaw.reply_data(0x80, RoboclawCommand.READ_ENCODERS, answer) is not None
     for bit in range(8 * len(answer)):
         flipped = bytearray(answer)
         flipped[bit // 8] ^= 1 << bit % 8
-        assert wire.reply_data(0x80, RoboclawCommand.READ_ENCODERS, bytes(flipped)) is None
+        assert roboclaw.reply_data(0x80, RoboclawCommand.READ_ENCODERS, bytes(flipped)) is None
 
 
 def test_an_answer_of_another_board_or_to_another_command_is_rejected() -> None:
-    answer = RoboClawMock(0x80, lambda channel: 0).obey(wire.read_packet(0x80, RoboclawCommand.READ_CURRENTS), 0.0)
-    assert wire.reply_data(0x81, RoboclawCommand.READ_CURRENTS, answer) is None
-    assert wire.reply_data(0x80, RoboclawCommand.READ_STATUS, answer) is None
+    answer = RoboClawMock(0x80, lambda channel: 0).obey(roboclaw.read_packet(0x80, RoboclawCommand.READ_CURRENTS), 0.0)
+    assert roboclaw.reply_data(0x81, RoboclawCommand.READ_CURRENTS, answer) is None
+    assert roboclaw.reply_data(0x80, RoboclawCommand.READ_STATUS, answer) is None
 
 
 class Cable:
@@ -118,7 +117,7 @@ def test_the_firmware_of_the_manual_and_todays_are_told_apart_by_their_pin_modes
     board.set_up(0.2, (10.0, 10.0))
     assert board.identity is not None
     assert board.identity.pin_modes == (0, 0x62, 0x62, 0, 0)[: 5 if has_ctrl_pins else 3]
-    assert struct.unpack(">4I", mock.settings[RATES]) == (wire.FASTEST_DUTY_CHANGE,) * 4
+    assert struct.unpack(">4I", mock.settings[RATES]) == (roboclaw.FASTEST_DUTY_CHANGE,) * 4
 
 
 @pytest.mark.parametrize("has_short_status", [False, True])
@@ -137,7 +136,7 @@ def test_a_duty_that_another_host_left_is_not_kept_alive_by_questions(timeout: i
     cable = Cable(0x80)
     mock = cable.mocks[0]
     mock.settings[TIMEOUT] = bytes((timeout,))
-    mock.obey(wire.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, wire.duty_data(3000, 0)), 0.0)
+    mock.obey(roboclaw.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, roboclaw.duty_data(3000, 0)), 0.0)
     cable.wait_until_s(0.05)
     board = board_on(cable)
     board.identify()

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from firmware_iface import vesc
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
-from firmware_iface.vesc import wire
-from firmware_iface.vesc.controller import Vesc, VescBus
-from firmware_iface.vesc.wire import COUNTS_PER_TURN, Packet
+from firmware_iface.vesc import COUNTS_PER_TURN, Packet, Vesc, VescBus
 from hil_mocks.devices.vesc import TURN, VescMock, VescSetup
 from tests.firmware_iface.bought.test_canopen import Wire
 
@@ -59,28 +58,28 @@ class Cell:
 @pytest.mark.parametrize(
     ("name", "made"),
     [
-        ("SET_DUTY 0.5", wire.duty(5, 0.5)),
-        ("SET_DUTY -1", wire.duty(5, -1.0)),
-        ("SET_CURRENT -2.5 A", wire.current(5, -2.5)),
-        ("SET_POS 90 deg", wire.position(5, COUNTS_PER_TURN * 9 // 4)),
-        ("CONF_CURRENT_LIMITS 8 A", wire.current_limits(5, 8.0)),
-        ("PING", wire.ping(5)),
-        ("ask fault", wire.ask_fault(5)),
-        ("ask settings", wire.ask_settings(5)),
+        ("SET_DUTY 0.5", vesc.duty(5, 0.5)),
+        ("SET_DUTY -1", vesc.duty(5, -1.0)),
+        ("SET_CURRENT -2.5 A", vesc.current(5, -2.5)),
+        ("SET_POS 90 deg", vesc.position(5, COUNTS_PER_TURN * 9 // 4)),
+        ("CONF_CURRENT_LIMITS 8 A", vesc.current_limits(5, 8.0)),
+        ("PING", vesc.ping(5)),
+        ("ask fault", vesc.ask_fault(5)),
+        ("ask settings", vesc.ask_settings(5)),
     ],
 )
-def test_what_is_sent_is_what_the_firmware_reads(name: str, made: wire.Frame) -> None:
+def test_what_is_sent_is_what_the_firmware_reads(name: str, made: vesc.Frame) -> None:
     assert made == golden(name)
 
 
 def test_what_the_firmware_sends_is_read() -> None:
-    assert wire.status(golden("STATUS -3000 erpm, 1.2 A, -0.25")[1]) == (-3000, 1.2, -0.25)
-    assert wire.counters(golden("STATUS_2 1 Ah, 0.5 Ah")[1]) == (10_000, 5_000)
-    assert wire.status_4(golden("STATUS_4 35 degC, 30 degC, 0.6 A, 359.98 deg")[1]) == (35.0, 30.0, 0.6, 17_999)
-    assert wire.status_5(golden("STATUS_5 -7, 24.1 V")[1]) == (-7, 24.1)
-    assert wire.adc_1_V(golden("STATUS_6 3.3 V")[1]) == 3.3
-    assert wire.fault_in(golden("fault 2")[1]) == (5, 2)
-    assert wire.fault_in(golden("PONG")[1]) is None
+    assert vesc.status(golden("STATUS -3000 erpm, 1.2 A, -0.25")[1]) == (-3000, 1.2, -0.25)
+    assert vesc.counters(golden("STATUS_2 1 Ah, 0.5 Ah")[1]) == (10_000, 5_000)
+    assert vesc.status_4(golden("STATUS_4 35 degC, 30 degC, 0.6 A, 359.98 deg")[1]) == (35.0, 30.0, 0.6, 17_999)
+    assert vesc.status_5(golden("STATUS_5 -7, 24.1 V")[1]) == (-7, 24.1)
+    assert vesc.adc_1_V(golden("STATUS_6 3.3 V")[1]) == 3.3
+    assert vesc.fault_in(golden("fault 2")[1]) == (5, 2)
+    assert vesc.fault_in(golden("PONG")[1]) is None
 
 
 def test_what_is_stored_comes_in_pieces_and_a_damaged_answer_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,9 +190,9 @@ def test_a_board_that_only_sends_its_status_is_taken_and_told() -> None:
         "; it does not answer PING; it does not answer the question for its fault code: a fault shows by its effect alone"
     )
     before = len(cell.wired.sent)
-    cell.board.wanted = wire.duty(5, 0.2)
+    cell.board.wanted = vesc.duty(5, 0.2)
     cell.bus.flush()
-    assert cell.wired.sent[before:] == [wire.duty(5, 0.2)]  # and no question
+    assert cell.wired.sent[before:] == [vesc.duty(5, 0.2)]  # and no question
     cell.board.await_status()
     assert (cell.board.is_known, cell.board.supply_V, cell.board.settings) == (True, 24.0, None)
 
@@ -220,7 +219,7 @@ def test_a_frame_of_another_length_is_a_violation_and_changes_nothing() -> None:
 
 def test_without_commands_a_vesc_brakes_and_after_a_fault_it_obeys_again() -> None:
     cell = Cell()
-    cell.bus.send(wire.duty(5, 0.2))
+    cell.bus.send(vesc.duty(5, 0.2))
     cell.run(0.05)
     assert cell.mock.output == ("voltage", pytest.approx(4.8))
     cell.run(SETUP.timeout_s)

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from firmware_iface.dynamixel import wire
-from firmware_iface.dynamixel.servo import MODELS, WITH_LOAD
+from firmware_iface import dynamixel_wire
+from firmware_iface.dynamixel import MODELS, WITH_LOAD
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 
@@ -86,7 +86,7 @@ def test_the_sdks_sync_write_sets_the_goals(line: DynamixelLineMock, handler: An
         write.addParam(number, list(struct.pack("<i", goal)))
     assert write.txPacket() == sdk.COMM_SUCCESS
     assert [struct.unpack_from("<i", servo.table, 116)[0] for servo in line.servos.values()] == [1000, 4095]
-    assert port.written == wire.sync_write(116, {1: struct.pack("<i", 1000), 2: struct.pack("<i", 4095)})
+    assert port.written == dynamixel_wire.sync_write(116, {1: struct.pack("<i", 1000), 2: struct.pack("<i", 4095)})
 
 
 def test_the_sdk_reads_several_servos_at_once(line: DynamixelLineMock, handler: Any) -> None:
@@ -105,7 +105,7 @@ def test_the_sdk_reads_several_servos_at_once(line: DynamixelLineMock, handler: 
     for way in ("txRxPacket", "fastBulkRead"):
         assert getattr(bulk, way)() == sdk.COMM_SUCCESS
         assert (bulk.getData(1, 132, 4), bulk.getData(2, 146, 1)) == (1024, 35)
-    assert port.written.startswith(wire.sync_read((2, 1), 126, 21))
+    assert port.written.startswith(dynamixel_wire.sync_read((2, 1), 126, 21))
 
 
 def test_after_a_servo_that_is_missing_nobody_answers(line: DynamixelLineMock, handler: Any) -> None:
@@ -113,7 +113,7 @@ def test_after_a_servo_that_is_missing_nobody_answers(line: DynamixelLineMock, h
     for number in (1, 9, 2):
         read.addParam(number)
     assert read.txRxPacket() == sdk.COMM_RX_TIMEOUT
-    line.receive(wire.sync_read((1, 9, 2), 132, 4), 1.0)
+    line.receive(dynamixel_wire.sync_read((1, 9, 2), 132, 4), 1.0)
     assert len(line.outgoing) == 1
 
 
@@ -158,11 +158,11 @@ def test_what_a_servo_does_not_take_is_refused_with_the_sdks_number(
 
 
 def test_an_unknown_instruction_and_a_wrong_crc_are_answered_with_their_errors(line: DynamixelLineMock) -> None:
-    line.receive(wire.packet(1, 0x77), 0.1)
-    damaged = bytearray(wire.read(2, 132, 4))
+    line.receive(dynamixel_wire.packet(1, 0x77), 0.1)
+    damaged = bytearray(dynamixel_wire.read(2, 132, 4))
     damaged[-1] ^= 1
     line.receive(bytes(damaged), 0.2)
-    said = [wire.status_in(status) for _, status in line.outgoing]
+    said = [dynamixel_wire.status_in(status) for _, status in line.outgoing]
     assert [(one.servo, one.error) for one in said if one] == [(1, sdk.ERRNUM_INSTRUCTION), (2, sdk.ERRNUM_CRC)]
 
 
@@ -199,10 +199,10 @@ def test_our_packets_are_the_sdks_byte_for_byte(line: DynamixelLineMock, handler
     handler.write4ByteTxRx(port, 1, 116, 123456)
     handler.reboot(port, 1)
     assert port.written == (
-        wire.read(2, 132, 4)
-        + wire.write(1, 64, b"\x01")
-        + wire.write(1, 116, struct.pack("<i", 123456))
-        + wire.packet(1, Instruction.REBOOT)
+        dynamixel_wire.read(2, 132, 4)
+        + dynamixel_wire.write(1, 64, b"\x01")
+        + dynamixel_wire.write(1, 116, struct.pack("<i", 123456))
+        + dynamixel_wire.packet(1, Instruction.REBOOT)
     )
 
 
@@ -389,7 +389,7 @@ def test_what_the_easy_sdk_reads_is_what_is_measured_and_stored(connector: Any, 
 def test_a_header_inside_of_parameters_is_stuffed_and_the_sdk_reads_it_back(line: DynamixelLineMock, handler: Any) -> None:
     # Not compared with what the SDK sends: 4.1.0 computes the stuffing and then sends the packet without it.
     line.servos[1].table[11] = 4  # several turns
-    packet = wire.write(1, 116, b"\xff\xff\xfd\xff")
+    packet = dynamixel_wire.write(1, 116, b"\xff\xff\xfd\xff")
     assert packet[5:].startswith(b"\x0a\x00\x03\x74\x00\xff\xff\xfd\xfd\xff")
     port = Port(line)
     port.writePort(list(packet))
@@ -403,7 +403,7 @@ def test_a_hardware_error_is_an_alert_that_only_a_restart_ends(line: DynamixelLi
     handler.ping(port, 1)
     servo.forced_error = 0
     _, _, error = handler.ping(port, 1)
-    assert error & wire.ALERT
+    assert error & dynamixel_wire.ALERT
     handler.write1ByteTxRx(port, 1, 64, 1)
     assert servo.table[64] == 0
     handler.reboot(port, 1)
@@ -431,14 +431,14 @@ def test_any_single_flipped_bit_of_a_status_packet_is_noticed(line: DynamixelLin
     line.servos[1].tick(0.05, 0.0, 12.0)
     status = line.servos[1].answer(0x02, struct.pack("<HH", 132, 4), 0.1)
     assert status is not None
-    read = wire.status_in(status)
+    read = dynamixel_wire.status_in(status)
     assert read is not None
     assert read.parameters == struct.pack("<i", 1024)
     for bit in range(8 * len(status)):
         flipped = bytearray(status)
         flipped[bit // 8] ^= 1 << bit % 8
         try:
-            assert wire.status_in(bytes(flipped)) is None
+            assert dynamixel_wire.status_in(bytes(flipped)) is None
         except ValueError:
             continue
 

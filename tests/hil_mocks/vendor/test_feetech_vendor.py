@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from firmware_iface.feetech import wire
+from firmware_iface import feetech_wire
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
@@ -69,7 +69,7 @@ def test_the_sdk_pings_reads_and_writes_the_mock(port: Port, handler: Any) -> No
 def test_every_other_call_of_the_sdk_is_answered(port: Port, handler: Any) -> None:
     servo, done = port.line.servos[1], (sdk.COMM_SUCCESS, 0)
     assert handler.WriteSpec(1, -500, 10) == done
-    assert (servo.table[41], servo.table[46:48]) == (10, wire.raw(-500))
+    assert (servo.table[41], servo.table[46:48]) == (10, feetech_wire.raw(-500))
     assert handler.ReadPosSpeed(1) == (-1024, 0, *done)
     assert (handler.ReadSpeed(1), handler.ReadMoving(1)) == ((0, *done), (0, *done))
     assert handler.read4ByteTxRx(1, 9) == (0, *done)
@@ -83,7 +83,7 @@ def test_every_other_call_of_the_sdk_is_answered(port: Port, handler: Any) -> No
     assert servo.table[41] == 8
     assert handler.SyncWritePosEx(1, 5, 6, 7)
     assert handler.groupSyncWrite.txPacket() == sdk.COMM_SUCCESS
-    assert servo.table[41:44] == b"\x07" + wire.raw(5)
+    assert servo.table[41:44] == b"\x07" + feetech_wire.raw(5)
     assert handler.LockEprom(1) == done
 
 
@@ -149,9 +149,9 @@ def test_the_lock_keeps_what_is_stored(port: Port, handler: Any) -> None:
 def test_the_sdks_sync_write_is_ours_and_sets_the_goals(port: Port, handler: Any) -> None:
     write = sdk.GroupSyncWrite(handler, sdk.SMS_STS_GOAL_POSITION_L, 2)
     for number, goal in ((1, 2048), (2, -2)):
-        write.addParam(number, list(wire.raw(goal)))
+        write.addParam(number, list(feetech_wire.raw(goal)))
     assert write.txPacket() == sdk.COMM_SUCCESS
-    assert port.written == wire.sync_write(42, {1: wire.raw(2048), 2: wire.raw(-2)})
+    assert port.written == feetech_wire.sync_write(42, {1: feetech_wire.raw(2048), 2: feetech_wire.raw(-2)})
     assert [servo.table[42:44] for servo in port.line.servos.values()] == [b"\x00\x08", b"\x02\x80"]
 
 
@@ -163,11 +163,11 @@ def test_the_sdk_reads_several_servos_at_once(port: Port, handler: Any) -> None:
         read.addParam(number)
     assert read.txRxPacket() == sdk.COMM_SUCCESS
     assert [read.getData(n, sdk.SMS_STS_PRESENT_POSITION_L, 2) for n in (1, 2)] == [0x8000 | 1024] * 2
-    assert port.written == wire.sync_read((2, 1), 56, 8)
+    assert port.written == feetech_wire.sync_read((2, 1), 56, 8)
 
 
 def test_after_a_servo_that_is_missing_nobody_answers(port: Port) -> None:
-    port.line.receive(wire.sync_read((1, 9, 2), 56, 2), 1.0)
+    port.line.receive(feetech_wire.sync_read((1, 9, 2), 56, 2), 1.0)
     assert len(port.line.outgoing) == 1
 
 
@@ -182,17 +182,17 @@ def test_what_the_sdk_registers_is_done_at_the_action_to_all(port: Port, handler
 
 
 def test_of_what_is_sent_to_all_only_a_ping_is_answered_by_all_at_once(port: Port, handler: Any) -> None:
-    port.writePort(list(wire.write(wire.BROADCAST, 40, b"\x01")))
+    port.writePort(list(feetech_wire.write(feetech_wire.BROADCAST, 40, b"\x01")))
     assert port._received == b""
     assert [servo.table[40] for servo in port.line.servos.values()] == [1, 1]
-    ping = wire.packet(wire.BROADCAST, Instruction.PING)
+    ping = feetech_wire.packet(feetech_wire.BROADCAST, Instruction.PING)
     port.writePort(list(ping))
     with pytest.raises(ValueError, match="checksum"):
-        wire.status_in(port._received)
+        feetech_wire.status_in(port._received)
     port.clearPort()
     del port.line.servos[1]
     port.writePort(list(ping))
-    assert wire.status_in(port._received) == (2, 0, b"", 6)
+    assert feetech_wire.status_in(port._received) == (2, 0, b"", 6)
 
 
 def test_at_a_response_level_of_0_only_ping_and_read_are_answered(port: Port, handler: Any) -> None:
@@ -208,7 +208,9 @@ def test_our_packets_are_the_sdks_byte_for_byte(port: Port, handler: Any) -> Non
     handler.write1ByteTxRx(1, sdk.SMS_STS_TORQUE_ENABLE, 1)
     handler.WritePosEx(1, 1000, 0, 0)
     assert port.written == (
-        wire.read(2, 56, 2) + wire.write(1, 40, b"\x01") + wire.write(1, 41, b"\x00" + wire.raw(1000) + bytes(4))
+        feetech_wire.read(2, 56, 2)
+        + feetech_wire.write(1, 40, b"\x01")
+        + feetech_wire.write(1, 41, b"\x00" + feetech_wire.raw(1000) + bytes(4))
     )
 
 
@@ -263,14 +265,14 @@ def test_any_single_flipped_bit_of_a_status_packet_is_noticed(port: Port) -> Non
     port.line.servos[1].tick(1.0, 0.0, 12.0)
     status = port.line.servos[1].answer(0x02, bytes((56, 2)), 1.1)
     assert status is not None
-    read = wire.status_in(status)
+    read = feetech_wire.status_in(status)
     assert read is not None
-    assert wire.signed(int.from_bytes(read.parameters, "little")) == -1024
+    assert feetech_wire.signed(int.from_bytes(read.parameters, "little")) == -1024
     for bit in range(8 * len(status)):
         flipped = bytearray(status)
         flipped[bit // 8] ^= 1 << bit % 8
         try:
-            found = wire.status_in(bytes(flipped))
+            found = feetech_wire.status_in(bytes(flipped))
         except ValueError:
             continue
         assert found is None

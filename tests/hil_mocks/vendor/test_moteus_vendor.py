@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from firmware_iface.moteus import wire
+from firmware_iface import moteus as wire
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 
 moteus = pytest.importorskip("moteus")

@@ -9,8 +9,8 @@ from typing import Any
 import cantools
 import pytest
 
-from firmware_iface.odrive import wire
-from firmware_iface.odrive.wire import AxisState, Error, OdriveCommand, OdriveControlMode
+from firmware_iface import odrive
+from firmware_iface.odrive import AxisState, Error, OdriveCommand, OdriveControlMode
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
 
 NODE = 5
@@ -25,7 +25,7 @@ def database() -> Any:
     return cantools.database.load_file(DBC)
 
 
-def read(database: Any, frame: wire.Frame) -> tuple[str, dict[str, Any]]:
+def read(database: Any, frame: odrive.Frame) -> tuple[str, dict[str, Any]]:
     message = database.get_message_by_frame_id(frame[0])
     return message.name.removeprefix(f"Axis{NODE}_"), message.decode(frame[1], decode_choices=False, allow_truncated=True)
 
@@ -33,16 +33,16 @@ def read(database: Any, frame: wire.Frame) -> tuple[str, dict[str, Any]]:
 @pytest.mark.parametrize(
     ("frame", "name", "values"),
     [
-        (wire.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL), "Set_Axis_State", {"Axis_Requested_State": 8}),
-        (wire.controller_mode(NODE, OdriveControlMode.POSITION), "Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}),
-        (wire.position(NODE, -1.5, -2.5), "Set_Input_Pos", {"Input_Pos": -1.5, "Vel_FF": -2.5, "Torque_FF": 0.0}),
-        (wire.torque(NODE, 0.25), "Set_Input_Torque", {"Input_Torque": 0.25}),
-        (wire.limits(NODE, 20.0, 8.0), "Set_Limits", {"Velocity_Limit": 20.0, "Current_Limit": 8.0}),
-        (wire.clear_errors(NODE), "Clear_Errors", {"Identify": 0}),
+        (odrive.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL), "Set_Axis_State", {"Axis_Requested_State": 8}),
+        (odrive.controller_mode(NODE, OdriveControlMode.POSITION), "Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}),
+        (odrive.position(NODE, -1.5, -2.5), "Set_Input_Pos", {"Input_Pos": -1.5, "Vel_FF": -2.5, "Torque_FF": 0.0}),
+        (odrive.torque(NODE, 0.25), "Set_Input_Torque", {"Input_Torque": 0.25}),
+        (odrive.limits(NODE, 20.0, 8.0), "Set_Limits", {"Velocity_Limit": 20.0, "Current_Limit": 8.0}),
+        (odrive.clear_errors(NODE), "Clear_Errors", {"Identify": 0}),
     ],
 )
 def test_what_is_sent_is_read_by_the_vendors_description(
-    database: Any, frame: wire.Frame, name: str, values: dict[str, float]
+    database: Any, frame: odrive.Frame, name: str, values: dict[str, float]
 ) -> None:
     assert read(database, frame) == (name, values)
 
@@ -168,7 +168,7 @@ def test_settings_are_written_and_read_by_their_numbers_and_last_when_they_are_s
 
 def test_an_axis_is_found_by_its_serial_number_and_given_another_node(database: Any) -> None:
     axis = Axis(database)
-    axis.mock.receive(wire.frame_id(HOST, 0x06), b"", axis.now_s)
+    axis.mock.receive(odrive.frame_id(HOST, 0x06), b"", axis.now_s)
     serial = int.from_bytes(b"ODRV01", "little")
     assert read(database, axis.mock.outgoing.pop()) == ("Address", {"Node_ID": NODE, "Serial_Number": serial})
     axis.tell("Address", Node_ID=9, Serial_Number=serial + 1)

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.wire import RoboclawCommand
+from firmware_iface import roboclaw
+from firmware_iface.roboclaw import RoboclawCommand
 from hil_mocks.devices.roboclaw import E_STOP, FULL, RoboClawLineMock, RoboClawMock
 
 basicmicro = pytest.importorskip("basicmicro")
@@ -347,15 +347,15 @@ def test_our_packets_are_the_vendors_byte_for_byte(claw: tuple[Any, Port, RoboCl
     client, port, _ = claw
     ours = b"".join(
         (
-            wire.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, wire.duty_data(16384, -8192)),
-            wire.command_packet(0x80, RoboclawCommand.SET_SERIAL_TIMEOUT, b"\x02"),
-            wire.command_packet(0x80, RoboclawCommand.SET_ENCODER_2, (1000).to_bytes(4, "big")),
-            wire.command_packet(0x80, RoboclawCommand.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)),
-            wire.command_packet(0x80, RoboclawCommand.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2),
-            wire.read_packet(0x80, RoboclawCommand.READ_PIN_MODES),
-            wire.read_packet(0x80, RoboclawCommand.READ_ENCODERS),
-            wire.read_packet(0x80, RoboclawCommand.READ_STATUS),
-            wire.read_packet(0x80, RoboclawCommand.READ_TEMPERATURE),
+            roboclaw.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, roboclaw.duty_data(16384, -8192)),
+            roboclaw.command_packet(0x80, RoboclawCommand.SET_SERIAL_TIMEOUT, b"\x02"),
+            roboclaw.command_packet(0x80, RoboclawCommand.SET_ENCODER_2, (1000).to_bytes(4, "big")),
+            roboclaw.command_packet(0x80, RoboclawCommand.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)),
+            roboclaw.command_packet(0x80, RoboclawCommand.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2),
+            roboclaw.read_packet(0x80, RoboclawCommand.READ_PIN_MODES),
+            roboclaw.read_packet(0x80, RoboclawCommand.READ_ENCODERS),
+            roboclaw.read_packet(0x80, RoboclawCommand.READ_STATUS),
+            roboclaw.read_packet(0x80, RoboclawCommand.READ_TEMPERATURE),
         )
     )
     client.DutyM1M2(0x80, 16384, -8192)

@@ -4,6 +4,7 @@
     status: an error byte in the instruction's place
 
 The checksum is the inverted sum of all bytes from the id on. Numbers are little endian; signed ones have their sign in bit 15.
+
 """
 
 from collections.abc import Sequence

@@ -6,6 +6,7 @@
 0x180, 0x280     + node: TPDO 1, 2 (from the drive);  0x200, 0x300 + node: RPDO 1, 2 (to it)
 0x580, 0x600     + node: SDO answer, SDO request
 0x700 + node     heartbeat: u8 NMT state; 0 after power-up (boot-up)
+
 """
 
 import struct

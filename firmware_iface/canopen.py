@@ -1,6 +1,7 @@
 """CiA 402 drives (IEC 61800-7-201) on a CANopen bus, seen from the host: SDO configuration, PDOs at SYNC, states.
 
 The bus is drained once a cycle, and dispatches frames to its nodes by id.
+
 """
 
 import contextlib
@@ -10,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from firmware_iface.canopen import wire
-from firmware_iface.canopen.wire import DictionaryObject, NmtCommand
+from firmware_iface import canopen_wire
+from firmware_iface.canopen_wire import DictionaryObject, NmtCommand
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, MisuseError, Problems
 from firmware_iface.link import FrameLink
@@ -39,7 +40,7 @@ class CanOpenBus:
 
     def add(self, node: int, handlers: dict[int, FrameHandler], counted: AnswersInTurn) -> None:
         """Dispatch frames with these base ids of a node; `counted` are its answers to SYNC. Raises MisuseError."""
-        if node not in wire.NODES or node == HOST_NODE:
+        if node not in canopen_wire.NODES or node == HOST_NODE:
             raise MisuseError(f"CAN bus {self.name}: node ids are 1 to 126, got {node}")
         self._handlers.update({base + node: handler for base, handler in handlers.items()})
         self._answers.append(counted)
@@ -64,18 +65,18 @@ class CanOpenBus:
 
     def sync(self) -> None:
         """Send SYNC: the nodes take over their set-points, and answer with what they measured then. Raises LinkLost."""
-        self.link.send(wire.SYNC, b"")
+        self.link.send(canopen_wire.SYNC, b"")
         self.synced_at_s = now_s = self.clock.now_s()
         for answers in self._answers:
             answers.asked(now_s)
 
     def heartbeat(self) -> None:
         """Tell the nodes that the host lives."""
-        self.link.send(wire.HEARTBEAT + HOST_NODE, b"\x05")
+        self.link.send(canopen_wire.HEARTBEAT + HOST_NODE, b"\x05")
 
-    def nmt(self, command: wire.NmtCommand, node: int) -> None:
+    def nmt(self, command: canopen_wire.NmtCommand, node: int) -> None:
         """Send an NMT command to a node, 0: to all."""
-        self.link.send(wire.NMT, bytes((command, node)))
+        self.link.send(canopen_wire.NMT, bytes((command, node)))
 
 
 ANSWER_TIMEOUT_s = 0.1  # drives answer SDO within some ms; some take 50 ms to store a value
@@ -177,18 +178,18 @@ class Cia402Drive:
         self._supply_asked_at_s = -math.inf
         self.bus = bus
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
-        self._answers: dict[tuple[int, int], wire.SdoAnswer] = {}
+        self._answers: dict[tuple[int, int], canopen_wire.SdoAnswer] = {}
         self._max_torque: int | None = None  # that the drive has confirmed
         self._asked_max: tuple[int, float] | None = None  # and that it was last told, and when
         self._is_known = False
         bus.add(
             node,
             {
-                wire.TPDO_1: self._take_values,
-                wire.TPDO_2: self._take_slow_values,
-                wire.EMERGENCY: self._take_emergency,
-                wire.SDO_ANSWER: self._take_answer,
-                wire.HEARTBEAT: self._take_heartbeat,
+                canopen_wire.TPDO_1: self._take_values,
+                canopen_wire.TPDO_2: self._take_slow_values,
+                canopen_wire.EMERGENCY: self._take_emergency,
+                canopen_wire.SDO_ANSWER: self._take_answer,
+                canopen_wire.HEARTBEAT: self._take_heartbeat,
             },
             self.counted,
         )
@@ -244,11 +245,11 @@ class Cia402Drive:
         if (entry := self._supply_by_sdo) is None:
             return
         if (answer := self._answers.pop((entry.at, entry.sub), None)) is not None and not answer.abort:
-            self._take_supply(wire.unpacked(entry.kind, answer.data), self._supply_asked_at_s)
+            self._take_supply(canopen_wire.unpacked(entry.kind, answer.data), self._supply_asked_at_s)
         now_s = self.bus.clock.now_s()
         if now_s - self._supply_asked_at_s >= SUPPLY_EVERY_s and self._asked_max is None:
             self._supply_asked_at_s = now_s
-            self.bus.link.send(wire.SDO_REQUEST + self.node, wire.read_request(entry))
+            self.bus.link.send(canopen_wire.SDO_REQUEST + self.node, canopen_wire.read_request(entry))
 
     def _take_supply(self, value: int, asked_at_s: float) -> None:
         self.supply_mV, self._supply_at_s = value * self._maker.supply_unit_mV, asked_at_s
@@ -270,7 +271,7 @@ class Cia402Drive:
         is_told = self._asked_max is not None and now_s - self._asked_max[1] < ANSWER_TIMEOUT_s
         if self._max_torque != permille and not is_told:
             self._asked_max = permille, now_s
-            self.bus.link.send(wire.SDO_REQUEST + self.node, wire.write_request(entry, permille))
+            self.bus.link.send(canopen_wire.SDO_REQUEST + self.node, canopen_wire.write_request(entry, permille))
 
     def quick_stop(self) -> None:
         """Quick stop: the drive slows down by its own ramp and holds."""
@@ -285,8 +286,8 @@ class Cia402Drive:
     def _send(self, mode: int, position: int, permille: int) -> None:
         wrapped = (position + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
         send = self.bus.link.send
-        send(wire.RPDO_2 + self.node, _RPDO_2.pack(permille))
-        send(wire.RPDO_1 + self.node, _RPDO_1.pack(self._controlword, mode, wrapped))
+        send(canopen_wire.RPDO_2 + self.node, _RPDO_2.pack(permille))
+        send(canopen_wire.RPDO_1 + self.node, _RPDO_1.pack(self._controlword, mode, wrapped))
 
     # ---- outside of the cycle
 
@@ -323,9 +324,9 @@ class Cia402Drive:
         Nothing is stored in the drive. Raises RequestRefused with the object that it does not have.
         """
         self.bus.nmt(NmtCommand.PRE_OPERATIONAL, self.node)
-        self._map(0x1400, 0x1600, wire.RPDO_1, (CONTROLWORD, MODE, TARGET_POSITION))
-        self._map(0x1401, 0x1601, wire.RPDO_2, (TARGET_TORQUE,))
-        self._map(0x1800, 0x1A00, wire.TPDO_1, (STATUSWORD, POSITION, TORQUE))
+        self._map(0x1400, 0x1600, canopen_wire.RPDO_1, (CONTROLWORD, MODE, TARGET_POSITION))
+        self._map(0x1401, 0x1601, canopen_wire.RPDO_2, (TARGET_TORQUE,))
+        self._map(0x1800, 0x1A00, canopen_wire.TPDO_1, (STATUSWORD, POSITION, TORQUE))
         self._map_slow_values()
         if self.read_if_there(CYCLE_TIME) is not None:
             self.write(CYCLE_TIME, max(1, round(period_s * 1e3)))
@@ -353,10 +354,10 @@ class Cia402Drive:
         """The supply where the drive has it as CiA 402 does, and the inputs."""
         try:
             self._slow = (SUPPLY, INPUTS)
-            self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
+            self._map(0x1801, 0x1A01, canopen_wire.TPDO_2, self._slow)
         except BoardRefused:
             self._slow = (INPUTS,)
-            self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
+            self._map(0x1801, 0x1A01, canopen_wire.TPDO_2, self._slow)
         if (entry := self._supply_by_sdo) is not None:
             self._take_supply(self.read(entry), self.bus.clock.now_s())
 
@@ -404,7 +405,7 @@ class Cia402Drive:
 
     def read(self, entry: DictionaryObject) -> int:
         """Read an object. Raises BoardSilent, RequestRefused."""
-        return wire.unpacked(entry.kind, self._ask(entry, wire.read_request(entry)).data)
+        return canopen_wire.unpacked(entry.kind, self._ask(entry, canopen_wire.read_request(entry)).data)
 
     def read_if_there(self, entry: DictionaryObject) -> int | None:
         """Read an object; None where the drive does not have it. Raises BoardSilent."""
@@ -414,13 +415,13 @@ class Cia402Drive:
 
     def write(self, entry: DictionaryObject, value: int) -> None:
         """Write an object. Raises BoardSilent, RequestRefused."""
-        self._ask(entry, wire.write_request(entry, value))
+        self._ask(entry, canopen_wire.write_request(entry, value))
 
-    def _ask(self, entry: DictionaryObject, request: bytes) -> wire.SdoAnswer:
+    def _ask(self, entry: DictionaryObject, request: bytes) -> canopen_wire.SdoAnswer:
         clock = self.bus.clock
         for _ in range(ATTEMPTS):
             self._answers.clear()
-            self.bus.link.send(wire.SDO_REQUEST + self.node, request)
+            self.bus.link.send(canopen_wire.SDO_REQUEST + self.node, request)
             deadline_s = clock.now_s() + ANSWER_TIMEOUT_s
             while (now_s := clock.now_s()) < deadline_s:
                 clock.wait_until_s(now_s + _STEP_s)
@@ -429,8 +430,8 @@ class Cia402Drive:
                 if answer is not None:
                     if answer.abort:
                         raise BoardRefused(
-                            f"{self.where}: refused object {entry}: {wire.abort_text(answer.abort)}; docs/cia402.md lists what a"
-                            " drive must have"
+                            f"{self.where}: refused object {entry}: {canopen_wire.abort_text(answer.abort)}; docs/cia402.md lists"
+                            " what a drive must have"
                         )
                     return answer
         raise BoardSilent(
@@ -460,11 +461,11 @@ class Cia402Drive:
             self.errors.append(code)
 
     def _take_answer(self, payload: bytes, now_s: float) -> None:
-        if (answer := wire.sdo_answer(payload)) is not None:
+        if (answer := canopen_wire.sdo_answer(payload)) is not None:
             self._answers[answer.at, answer.sub] = answer
 
     def _take_heartbeat(self, payload: bytes, now_s: float) -> None:
-        if payload[:1] == bytes((wire.BOOT_UP,)) and self._is_known:
+        if payload[:1] == bytes((canopen_wire.BOOT_UP,)) and self._is_known:
             self._restarted()
 
     def _restarted(self) -> None:

@@ -1,13 +1,163 @@
-"""ODrives on a CAN bus, seen from the host: they send what they measure unasked; commands are not answered."""
+"""ODrives on a CAN bus, seen from the host: they send what they measure unasked; commands are not answered.
+The frames come first, without I/O; then the driver.
+
+Frames of an ODrive on CAN (CANSimple, firmware 0.6). Source: ODrive's CAN documentation and its DBC, 0.6.10.
+
+    11-bit id: node << 5 | command; numbers are little endian, f32 unless said otherwise
+
+    from the ODrive, at rates of its own                 to the ODrive
+    HEARTBEAT 0x01     u32 errors, u8 state,             SET_AXIS_STATE 0x07       u32 state
+                       u8 procedure result, u8 done      SET_CONTROLLER_MODE 0x0B  u32 control, u32 input
+    ENCODER 0x09       turns, turns/s                    SET_INPUT_POS 0x0C        turns, i16 1e3/(turns/s), i16 1e3/Nm
+    IQ 0x14            set A, measured A                 SET_INPUT_TORQUE 0x0E     Nm
+    TEMPERATURE 0x15   FETs degC, motor degC             SET_LIMITS 0x0F           turns/s, A
+    BUS 0x17           V, A                              CLEAR_ERRORS 0x18         u8 0
+
+Firmware 0.5 has messages of the same form and another meaning. It answers an empty frame of SENSORLESS_ERROR 0x05 by the same,
+u32 error and four bytes of 0, which 0.6 does not know (ODrive's own can_simple.cpp of 0.5.6). There 0x05 carries answers about
+settings: u8 0, u16 which, u8 0, the value.
+
+The errors of HEARTBEAT are those that there are, and those that ended the last operation until CLEAR_ERRORS.
+"""
 
 import math
 import struct
-from typing import Final
+from enum import IntEnum, IntFlag
+from typing import Final, NamedTuple
 
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, ProtocolViolation, WrongIdentity
 from firmware_iface.node_bus import NodeBus, UnaskedBoard
-from firmware_iface.odrive import wire
-from firmware_iface.odrive.wire import AxisState, Error, Frame, OdriveCommand, OdriveControlMode
+
+NODES: Final = range(63)  # 63 is all of them
+MOST_SPEED_turns_s: Final = 32.767  # of a feed-forward
+PASSTHROUGH: Final = 1  # an input mode: set-points take effect as they come
+
+Frame = tuple[int, bytes]
+
+
+class OdriveCommand(IntEnum):
+    """Commands of CANSimple."""
+
+    HEARTBEAT = 0x01
+    SENSORLESS_ERROR = 0x05  # of firmware 0.5
+    SET_AXIS_STATE = 0x07
+    ENCODER = 0x09
+    SET_CONTROLLER_MODE = 0x0B
+    SET_INPUT_POS = 0x0C
+    SET_INPUT_TORQUE = 0x0E
+    SET_LIMITS = 0x0F
+    IQ = 0x14
+    TEMPERATURE = 0x15
+    BUS = 0x17
+    CLEAR_ERRORS = 0x18
+
+
+class AxisState(IntEnum):
+    """States of an axis that are used here."""
+
+    IDLE = 1
+    CLOSED_LOOP_CONTROL = 8
+
+
+class OdriveControlMode(IntEnum):
+    """Control modes that are used here."""
+
+    TORQUE = 1
+    POSITION = 3
+
+
+class Error(IntFlag):
+    """Errors of an axis."""
+
+    INITIALIZING = 1 << 0
+    SYSTEM_LEVEL = 1 << 1
+    TIMING_ERROR = 1 << 2
+    MISSING_ESTIMATE = 1 << 3
+    BAD_CONFIG = 1 << 4
+    DRV_FAULT = 1 << 5
+    MISSING_INPUT = 1 << 6
+    DC_BUS_OVER_VOLTAGE = 1 << 8
+    DC_BUS_UNDER_VOLTAGE = 1 << 9
+    DC_BUS_OVER_CURRENT = 1 << 10
+    DC_BUS_OVER_REGEN_CURRENT = 1 << 11
+    CURRENT_LIMIT_VIOLATION = 1 << 12
+    MOTOR_OVER_TEMP = 1 << 13
+    INVERTER_OVER_TEMP = 1 << 14
+    VELOCITY_LIMIT_VIOLATION = 1 << 15
+    POSITION_LIMIT_VIOLATION = 1 << 16
+    WATCHDOG_TIMER_EXPIRED = 1 << 24
+    ESTOP_REQUESTED = 1 << 25
+    SPINOUT_DETECTED = 1 << 26
+    BRAKE_RESISTOR_DISARMED = 1 << 27
+    THERMISTOR_DISCONNECTED = 1 << 28
+    CALIBRATION_ERROR = 1 << 30
+
+
+class Heartbeat(NamedTuple):
+    """Errors, state (AxisState, or another number), and how the last procedure ended (0: well, 1: it goes on)."""
+
+    errors: Error
+    state: int
+    result: int
+
+
+def frame_id(node: int, command: int) -> int:
+    """The 11-bit id of a command to or from a node."""
+    return node << 5 | command
+
+
+def axis_state(node: int, state: AxisState) -> Frame:
+    """Ask for a state. An axis that is asked for the state that it has leaves it and enters it anew."""
+    return frame_id(node, OdriveCommand.SET_AXIS_STATE), struct.pack("<I", state)
+
+
+def controller_mode(node: int, control: OdriveControlMode) -> Frame:
+    """Choose what the inputs are; they take effect as they come."""
+    return frame_id(node, OdriveCommand.SET_CONTROLLER_MODE), struct.pack("<II", control, PASSTHROUGH)
+
+
+def position(node: int, turns: float, speed_turns_s: float = 0.0) -> Frame:
+    """Set the encoder's position, and the speed at which it moves there: at most MOST_SPEED_turns_s, the field's end."""
+    speed = round(1e3 * min(max(speed_turns_s, -MOST_SPEED_turns_s), MOST_SPEED_turns_s))
+    return frame_id(node, OdriveCommand.SET_INPUT_POS), struct.pack("<fhh", turns, speed, 0)
+
+
+def torque(node: int, torque_Nm: float) -> Frame:
+    """Set the motor's torque."""
+    return frame_id(node, OdriveCommand.SET_INPUT_TORQUE), struct.pack("<f", torque_Nm)
+
+
+def limits(node: int, speed_turns_s: float, current_A: float) -> Frame:
+    """Limit speed and current until the next start; nothing is stored."""
+    return frame_id(node, OdriveCommand.SET_LIMITS), struct.pack("<ff", speed_turns_s, current_A)
+
+
+def clear_errors(node: int) -> Frame:
+    """Forget errors whose cause is gone."""
+    return frame_id(node, OdriveCommand.CLEAR_ERRORS), b"\x00"
+
+
+def ask_sensorless_error(node: int) -> Frame:
+    """A question that firmware 0.5 answers, and no other."""
+    return frame_id(node, OdriveCommand.SENSORLESS_ERROR), b""
+
+
+def is_sensorless_error(payload: bytes) -> bool:
+    """Whether an answer is one of firmware 0.5, of whose errors the first byte has all; else it is 0.6's about a setting."""
+    return len(payload) == 8 and not any(payload[1:])
+
+
+def heartbeat(payload: bytes) -> Heartbeat:
+    """HEARTBEAT, with or without what follows the result. struct.error if it is shorter."""
+    errors, state, result = struct.unpack_from("<IBB", payload)
+    return Heartbeat(Error(errors), state, result)
+
+
+def pair(payload: bytes) -> tuple[float, float]:
+    """The two numbers of ENCODER, IQ, TEMPERATURE or BUS. struct.error if it has another length."""
+    first, second = struct.unpack("<ff", payload)
+    return first, second
+
 
 STATUS_WAIT_s = 0.5  # an ODrive that sends more slowly cannot be used
 VERSION_WAIT_s = 0.01  # for an answer that only firmware 0.5 gives; no longer, as watchdogs of other axes run
@@ -34,7 +184,7 @@ class OdriveBus(NodeBus["OdriveAxis"]):
 class OdriveAxis(UnaskedBoard):
     """Keeps the latest values of an axis and what is wanted of it; times are the host's, on arrival, but for the count's."""
 
-    make, numbered, numbers = "ODrive", "node id", wire.NODES
+    make, numbered, numbers = "ODrive", "node id", NODES
 
     def __init__(self, bus: OdriveBus, node: int, name: str, counts_per_turn: int) -> None:
         """`counts_per_turn`: the position comes as turns, and is made counts of so many a turn."""
@@ -45,7 +195,7 @@ class OdriveAxis(UnaskedBoard):
         self._is_old = False
         self._wanted: AxisState | None = None
         self._control: OdriveControlMode | None = None  # as the axis has it
-        self._input: tuple[OdriveControlMode, Frame] = (OdriveControlMode.TORQUE, wire.torque(node, 0.0))
+        self._input: tuple[OdriveControlMode, Frame] = (OdriveControlMode.TORQUE, torque(node, 0.0))
         self._asked_s = -math.inf
         self._bus = bus
 
@@ -64,18 +214,18 @@ class OdriveAxis(UnaskedBoard):
     def want_torque(self, torque_Nm: float) -> None:
         """Drive with a torque of the motor."""
         self._wanted = AxisState.CLOSED_LOOP_CONTROL
-        self._input = (OdriveControlMode.TORQUE, wire.torque(self.node, torque_Nm))
+        self._input = (OdriveControlMode.TORQUE, torque(self.node, torque_Nm))
 
     def want_count(self, count: int, speed_count_s: float = 0.0) -> None:
         """Be at a count that moves at a speed, or hold it."""
         self._wanted = AxisState.CLOSED_LOOP_CONTROL
         turns, turns_s = count / self.counts_per_turn, speed_count_s / self.counts_per_turn
-        self._input = (OdriveControlMode.POSITION, wire.position(self.node, turns, turns_s))
+        self._input = (OdriveControlMode.POSITION, position(self.node, turns, turns_s))
 
     def want_idle(self) -> None:
         """Drive nothing: the motor is free."""
         self._wanted = AxisState.IDLE
-        self._input = (OdriveControlMode.TORQUE, wire.torque(self.node, 0.0))
+        self._input = (OdriveControlMode.TORQUE, torque(self.node, 0.0))
 
     def want_nothing(self) -> None:
         """Send nothing: the axis goes on with what it does."""
@@ -90,10 +240,10 @@ class OdriveAxis(UnaskedBoard):
         asks = self.state != self._wanted and now_s - self._asked_s > ASK_AGAIN_s
         frames = [input_frame]  # comes first: a new mode then never begins with an old input
         if self._control is not control or asks:
-            frames.append(wire.controller_mode(self.node, control))
+            frames.append(controller_mode(self.node, control))
             self._control = control
         if asks:
-            frames.append(wire.axis_state(self.node, self._wanted))
+            frames.append(axis_state(self.node, self._wanted))
             self._asked_s = now_s
         return frames
 
@@ -110,7 +260,7 @@ class OdriveAxis(UnaskedBoard):
         An error of its watchdog alone is cleared: without a host it had to expire.
         """
         self._is_old, end_s = False, self._bus.clock.now_s() + VERSION_WAIT_s
-        self._bus.send(wire.ask_sensorless_error(self.node))
+        self._bus.send(ask_sensorless_error(self.node))
         try:
             self.await_status()
         finally:  # with 0.5, the settings of what is missing have other names
@@ -149,14 +299,14 @@ class OdriveAxis(UnaskedBoard):
 
     def clear_errors(self) -> bool:
         """Forget errors whose cause is gone; whether there is none left. BoardSilent."""
-        self._bus.send(wire.clear_errors(self.node))
-        self._bus.send(wire.torque(self.node, 0.0))  # for its watchdog
+        self._bus.send(clear_errors(self.node))
+        self._bus.send(torque(self.node, 0.0))  # for its watchdog
         self.await_status()
         return not self.errors
 
     def limit(self, speed_turns_s: float, current_A: float) -> None:
         """Limit the motor's speed and current; nothing is stored. Raises LinkLost."""
-        self._bus.send(wire.limits(self.node, speed_turns_s, current_A))
+        self._bus.send(limits(self.node, speed_turns_s, current_A))
 
     # ---- frames
 
@@ -174,17 +324,17 @@ class OdriveAxis(UnaskedBoard):
     def _take(self, command: int, payload: bytes, now_s: float) -> None:
         match command:
             case OdriveCommand.HEARTBEAT:
-                self._follow(wire.heartbeat(payload), now_s)
+                self._follow(heartbeat(payload), now_s)
             case OdriveCommand.ENCODER:
-                self._count(wire.pair(payload)[0], now_s)
+                self._count(pair(payload)[0], now_s)
             case OdriveCommand.IQ:
-                self.current_A = wire.pair(payload)[1]
+                self.current_A = pair(payload)[1]
             case OdriveCommand.TEMPERATURE:
-                self.temperature_degC = max(wire.pair(payload))  # without a motor's thermistor, NaN is the second
+                self.temperature_degC = max(pair(payload))  # without a motor's thermistor, NaN is the second
             case OdriveCommand.SENSORLESS_ERROR:
-                self._is_old |= wire.is_sensorless_error(payload)
+                self._is_old |= is_sensorless_error(payload)
             case OdriveCommand.BUS:
-                self.supply_V = wire.pair(payload)[0]
+                self.supply_V = pair(payload)[0]
         if command in self._at_s:
             self._at_s[OdriveCommand(command)] = now_s
 
@@ -198,7 +348,7 @@ class OdriveAxis(UnaskedBoard):
                 BoardFaulted(f"{self.where}: its encoder has no position (NaN): calibrate it with odrivetool")
             )
 
-    def _follow(self, heartbeat: wire.Heartbeat, now_s: float) -> None:
+    def _follow(self, heartbeat: Heartbeat, now_s: float) -> None:
         was_driving, before_s = self.is_driving, self._at_s[OdriveCommand.HEARTBEAT]
         self.errors, self.state = heartbeat.errors & ~Error.INITIALIZING, heartbeat.state
         # An operation that ends by an error says so; one that ends without was ended by the host, or by a restart.

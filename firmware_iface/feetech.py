@@ -4,9 +4,9 @@ import struct
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
+from firmware_iface import feetech_wire
 from firmware_iface.clock import Clock
 from firmware_iface.errors import WrongIdentity
-from firmware_iface.feetech import wire
 from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
@@ -42,11 +42,11 @@ class FeetechLine(ServoLine):
         super().__init__(link, clock, self.servos, self._goal_positions, self._all_states)
 
     def _goal_positions(self) -> bytes:
-        goals = {servo.number: wire.raw(servo.goal) for servo in self.servos if servo.goal is not None}
-        return wire.sync_write(GOAL_POSITION, goals) if goals else b""
+        goals = {servo.number: feetech_wire.raw(servo.goal) for servo in self.servos if servo.goal is not None}
+        return feetech_wire.sync_write(GOAL_POSITION, goals) if goals else b""
 
     def _all_states(self) -> bytes:
-        return wire.sync_read([servo.number for servo in self.servos], *STATE_SPAN)
+        return feetech_wire.sync_read([servo.number for servo in self.servos], *STATE_SPAN)
 
 
 class FeetechServo(SmartServo):
@@ -56,7 +56,7 @@ class FeetechServo(SmartServo):
     """
 
     CALLED = "STS servo"
-    WIRE: ClassVar[ServoWire] = wire
+    WIRE: ClassVar[ServoWire] = feetech_wire
     TORQUE, DELAY, FORCE = TORQUE, RETURN_DELAY, TORQUE_LIMIT
     ERRORS: ClassVar[Mapping[int, str]] = {0x01: "voltage", 0x02: "sensor", 0x04: "heat", 0x08: "current", OVERLOAD: "overload"}
 
@@ -70,7 +70,7 @@ class FeetechServo(SmartServo):
 
     def _switching_on(self) -> bytes:
         """Torque on, no ramp, and the goal where it is: in one instruction, so that no older goal is ever gone to."""
-        return b"\x01\0" + wire.raw(self.position)
+        return b"\x01\0" + feetech_wire.raw(self.position)
 
     def post_torque(self, is_on: bool) -> None:
         """Queue switching the torque, if it is not so already."""
@@ -129,7 +129,7 @@ class FeetechServo(SmartServo):
             notes.append("no position limits: goals of several turns")
         elif (least, most) != (0, COUNTS_PER_TURN - 1):
             notes.append(f"goals {least} to {most}")
-        notes += [f"position correction {wire.signed(correction, 11)}"] if correction else []
+        notes += [f"position correction {feetech_wire.signed(correction, 11)}"] if correction else []
         notes += ["counts on beyond a turn until its supply is cut"] if phase & BEYOND_A_TURN else []
         notes += ["sense of its position reversed"] if phase & REVERSED else []
         notes += [f"response level {level}"] if level != ALL_ANSWERED else []
@@ -139,7 +139,7 @@ class FeetechServo(SmartServo):
     def set_up(self, watchdog_s: float) -> None:
         """No ramp and no speed limit. Nothing is stored, the torque stays as it is; there is no watchdog to set."""
         self._write(ACCELERATION, b"\0")
-        self._write(GOAL_SPEED, wire.raw(NO_SPEED_LIMIT[self._speed_0_is_full]))
+        self._write(GOAL_SPEED, feetech_wire.raw(NO_SPEED_LIMIT[self._speed_0_is_full]))
         self._force.forget()
         self.read_state()
 
@@ -167,7 +167,7 @@ class FeetechServo(SmartServo):
 
     def _take_state(self, data: bytes, sent_at_s: float) -> None:
         torque, position, _, _, tenths_V, self.temperature_degC, error, _, current = _STATE.unpack(data[1:])
-        self.position, self.current_A = wire.signed(position), wire.signed(current) * CURRENT_UNIT_A
+        self.position, self.current_A = feetech_wire.signed(position), feetech_wire.signed(current) * CURRENT_UNIT_A
         self.supply_V, self.hardware_error = tenths_V * 0.1, error
         self.at_s, self.late_s = sent_at_s, self._line.late_s
         self.is_torque_on = torque == ON

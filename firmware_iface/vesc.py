@@ -1,17 +1,201 @@
-"""VESCs on a CAN bus, seen from the host. They send their status unasked; commands are not answered."""
+"""VESCs on a CAN bus, seen from the host. They send their status unasked; commands are not answered.
+The frames come first, without I/O; then the driver.
+
+Frames of a VESC on CAN. Source: VESC firmware 6, comm/comm_can.c, datatypes.h and confgenerator.c.
+
+    29-bit id: packet << 8 | controller id; numbers are big endian
+
+    SET_DUTY 0              i32 duty 1e5             STATUS 9      i32 erpm, i16 current 10/A, i16 duty 1e3
+    SET_CURRENT 1           i32 current 1e3/A        STATUS_2 14   i32 charge drawn 1e4/Ah, i32 charge returned 1e4/Ah
+    SET_POS 4               i32 angle 1e6/deg        STATUS_3 15   i32 energy drawn 1e4/Wh, i32 energy returned 1e4/Wh
+    CONF_CURRENT_LIMITS 21  i32, i32 1e3/A           STATUS_4 16   i16 FETs 10/degC, i16 motor 10/degC, i16 input 10/A,
+    PING 17                 u8 who asks                            i16 angle 50/deg
+    PONG 18 (to who asked)  u8 id, u8 hardware       STATUS_5 27   i32 tachometer, i16 supply 10/V, i16 reserved
+    NOTIFY_BOOT 57          after a start            STATUS_6 58   i16 ADC 1, 2, 3 1e3/V, i16 pulse input 1e3
+
+    PROCESS_SHORT_BUFFER 8  u8 who asks, u8 0, a command of the serial protocol of at most 6 bytes; its answer, if as short,
+    comes in the same packet to who asked, with u8 id, u8 1 before it. COMM_GET_VALUES_SELECTIVE 50: u32 mask, then the values.
+    A longer answer comes to who asked in FILL_RX_BUFFER 5, u8 place (LONG 6, u16 place), bytes; PROCESS_RX_BUFFER 7, u8 id, u8 1,
+    u16 length, u16 CRC of all ends it. COMM_GET_APPCONF 17: u32 signature, u8 id, u32 time-out 1e3/s, f32 its brake current A; 20
+    bytes, then u8 application
+
+The current of STATUS is positive while the motor drives and negative while it brakes; with the duty's sign it has a direction.
+"""
 
 import binascii
 import math
 import struct
 from collections.abc import Callable
+from enum import IntEnum
 from typing import Final, NamedTuple
 
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardReset, BoardSilent, ProtocolViolation
 from firmware_iface.link import FrameLink
 from firmware_iface.node_bus import NodeBus, UnaskedBoard
-from firmware_iface.vesc import wire
-from firmware_iface.vesc.wire import COUNTS_PER_TURN, Frame, Packet
+
+IDS: Final = range(254)  # 255 is all of them; 254 is the host's
+HOST: Final = 254
+COUNTS_PER_TURN: Final = 18_000  # the angle of STATUS_4
+GET_APPCONF: Final = 17
+GET_VALUES_SELECTIVE: Final = 50
+_APPCONF: Final = struct.Struct(">B4xBIf20xB")
+FAULT_MASK: Final = 1 << 15
+_ASK, _ANSWER = 0, 1
+_MOST_i32: Final = 2**31 - 1
+
+
+class Packet(IntEnum):
+    """Packets of VESC's CAN protocol."""
+
+    SET_DUTY = 0
+    SET_CURRENT = 1
+    SET_POS = 4
+    FILL_RX_BUFFER = 5
+    FILL_RX_BUFFER_LONG = 6
+    PROCESS_RX_BUFFER = 7
+    PROCESS_SHORT_BUFFER = 8
+    STATUS = 9
+    STATUS_2 = 14
+    STATUS_3 = 15
+    STATUS_4 = 16
+    PING = 17
+    PONG = 18
+    CONF_CURRENT_LIMITS = 21
+    STATUS_5 = 27
+    NOTIFY_BOOT = 57
+    STATUS_6 = 58
+
+
+Frame = tuple[int, bytes]
+
+
+class VescStatus(NamedTuple):
+    """Electrical speed [1/min], current [A] as described above, duty -1 to 1."""
+
+    erpm: int
+    current_A: float
+    duty: float
+
+
+class Status4(NamedTuple):
+    """Temperatures, input current, and the encoder's angle in COUNTS_PER_TURN."""
+
+    fets_degC: float
+    motor_degC: float
+    input_A: float
+    angle_count: int
+
+
+class Status5(NamedTuple):
+    """Tachometer in its own counts, and supply."""
+
+    tachometer: int
+    supply_V: float
+
+
+def frame_id(packet: int, controller: int) -> int:
+    """The 29-bit id of a packet to or from a controller."""
+    return packet << 8 | controller
+
+
+def duty(controller: int, share: float) -> Frame:
+    """Drive with a share of the supply, -1 to 1; 0 shorts the windings."""
+    return _scaled(Packet.SET_DUTY, controller, share, 1e5)
+
+
+def current(controller: int, amperes: float) -> Frame:
+    """Drive with a current; 0 opens the circuit."""
+    return _scaled(Packet.SET_CURRENT, controller, amperes, 1e3)
+
+
+def position(controller: int, count: int) -> Frame:
+    """Turn the shorter way to an angle within one turn, in COUNTS_PER_TURN."""
+    return _scaled(Packet.SET_POS, controller, count % COUNTS_PER_TURN * 360.0 / COUNTS_PER_TURN, 1e6)
+
+
+def current_limits(controller: int, amperes: float) -> Frame:
+    """Limit driving and braking currents until the next start; nothing is stored."""
+    most = min(round(amperes * 1e3), _MOST_i32)
+    return frame_id(Packet.CONF_CURRENT_LIMITS, controller), struct.pack(">ii", -most, most)
+
+
+def ping(controller: int) -> Frame:
+    """Ask whether a controller is there."""
+    return frame_id(Packet.PING, controller), bytes((HOST,))
+
+
+def ask_fault(controller: int) -> Frame:
+    """Ask for the fault code."""
+    payload = struct.pack(">BBBI", HOST, _ASK, GET_VALUES_SELECTIVE, FAULT_MASK)
+    return frame_id(Packet.PROCESS_SHORT_BUFFER, controller), payload
+
+
+def fault_in(payload: bytes) -> tuple[int, int] | None:
+    """Controller and fault code of an answer to `ask_fault`; None if it is another answer."""
+    if len(payload) != 8:
+        return None
+    controller, kind, command, mask, fault = struct.unpack(">BBBIB", payload)
+    if (kind, command, mask) != (_ANSWER, GET_VALUES_SELECTIVE, FAULT_MASK):
+        return None
+    return controller, fault
+
+
+class Settings(NamedTuple):
+    """What is stored in a controller: its time-out, the brake current after it, and the application that may command it, too."""
+
+    timeout_s: float
+    brake_A: float
+    application: int
+
+
+def ask_settings(controller: int) -> Frame:
+    """Ask for the application's configuration; a long answer."""
+    return frame_id(Packet.PROCESS_SHORT_BUFFER, controller), bytes((HOST, _ASK, GET_APPCONF))
+
+
+def settings_in(answer: bytes, controller: int) -> Settings | None:
+    """What a long answer says of a controller; None if it is another answer, or of another layout."""
+    if len(answer) < _APPCONF.size:
+        return None
+    command, number, timeout_ms, brake_A, application = _APPCONF.unpack_from(answer)
+    is_it = (command, number) == (GET_APPCONF, controller)
+    return Settings(timeout_ms * 1e-3, brake_A, application) if is_it else None
+
+
+def status(payload: bytes) -> VescStatus:
+    """STATUS. struct.error if it has another length."""
+    erpm, current_, duty_ = struct.unpack(">ihh", payload)
+    return VescStatus(erpm, current_ / 10, duty_ / 1000)
+
+
+def counters(payload: bytes) -> tuple[int, int]:
+    """STATUS_2 or STATUS_3: what was drawn and returned since the start, in 1e-4 Ah or Wh. struct.error."""
+    drawn, returned = struct.unpack(">ii", payload)
+    return drawn, returned
+
+
+def status_4(payload: bytes) -> Status4:
+    """STATUS_4. struct.error if it has another length."""
+    fets, motor, input_, angle = struct.unpack(">hhhh", payload)
+    return Status4(fets / 10, motor / 10, input_ / 10, angle)
+
+
+def status_5(payload: bytes) -> Status5:
+    """STATUS_5, with or without its reserved bytes. struct.error if it has another length."""
+    tachometer, supply = struct.unpack(">ih", payload[:6])
+    return Status5(tachometer, supply / 10)
+
+
+def adc_1_V(payload: bytes) -> float:
+    """The first analog input in STATUS_6. struct.error if it has another length."""
+    volts: int = struct.unpack(">hhhh", payload)[0]
+    return volts / 1000
+
+
+def _scaled(packet: Packet, controller: int, value: float, scale: float) -> Frame:
+    return frame_id(packet, controller), struct.pack(">i", round(value * scale))
+
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
@@ -45,12 +229,12 @@ class VescBus(NodeBus["Vesc"]):
 
     def _take(self, can_id: int, payload: bytes, now_s: float) -> None:
         packet, number = can_id >> 8, can_id & 0xFF
-        if number == wire.HOST and packet in FILLS and payload:
+        if number == HOST and packet in FILLS and payload:
             place, data = int.from_bytes(payload[: FILLS[packet]], "big"), payload[FILLS[packet] :]
             self._filled[place : place + len(data)] = data
             del self._filled[LONGEST_ANSWER:]
             return
-        if number == wire.HOST and packet in TO_HOST and payload:
+        if number == HOST and packet in TO_HOST and payload:
             number = payload[0]
             if packet == Packet.PROCESS_RX_BUFFER and len(payload) == 6:
                 length, crc = struct.unpack_from(">HH", payload, 2)
@@ -66,13 +250,13 @@ class VescBus(NodeBus["Vesc"]):
         numbers = list(self.nodes)
         self._turn = (self._turn + 1) % len(numbers)
         if self.nodes[numbers[self._turn]].tells_faults:
-            self.send(wire.ask_fault(numbers[self._turn]))
+            self.send(ask_fault(numbers[self._turn]))
 
 
 class Vesc(UnaskedBoard):
     """Keeps the latest values of a controller and its command; times are the host's, on arrival, but for the count's."""
 
-    make, numbers = "VESC", wire.IDS
+    make, numbers = "VESC", IDS
 
     def __init__(self, bus: VescBus, number: int, name: str) -> None:
         super().__init__(bus, number, name, NEEDED)
@@ -84,7 +268,7 @@ class Vesc(UnaskedBoard):
         """Whether anybody uses its count: without, turns that it loses matter to nobody."""
         self.fault: int | None = None
         self.fault_at_s = -math.inf
-        self.settings: wire.Settings | None = None
+        self.settings: Settings | None = None
         """What is stored in it; None: its firmware does not say it so."""
         self._last_raw: int | None = None
         self._step = 0  # of the count, between the last two status messages
@@ -111,14 +295,14 @@ class Vesc(UnaskedBoard):
         """Check that it sends its status. What it does not answer is told, in words. BoardSilent says what is missing."""
         self._is_here, self.tells_faults = False, True
         asked: tuple[tuple[Frame, Callable[[], bool], float, str], ...] = (
-            (wire.ping(self.number), lambda: self._is_here, ANSWER_TIMEOUT_s, "PING"),
+            (ping(self.number), lambda: self._is_here, ANSWER_TIMEOUT_s, "PING"),
             (
-                wire.ask_fault(self.number),
+                ask_fault(self.number),
                 lambda: self.fault is not None,
                 ANSWER_TIMEOUT_s,
                 "the question for its fault code: a fault shows by its effect alone",
             ),
-            (wire.ask_settings(self.number), lambda: self.settings is not None, SETTINGS_WAIT_s, ""),
+            (ask_settings(self.number), lambda: self.settings is not None, SETTINGS_WAIT_s, ""),
         )
         self.settings = self.fault = None
         silent = [what for frame, is_answered, wait_s, what in asked if not self._answers(frame, is_answered, wait_s)]
@@ -138,7 +322,7 @@ class Vesc(UnaskedBoard):
         """Wait for values that are sent from now on, and the fault code. BoardSilent."""
         asked_s = self._bus.clock.now_s()
         if self.tells_faults:
-            self._bus.send(wire.ask_fault(self.number))
+            self._bus.send(ask_fault(self.number))
         if not self._bus.waits(lambda: min(self.at_s, self._told_at_s) > asked_s, STATUS_WAIT_s):
             missing = [packet.name.replace("_", " ") for packet, at_s in self._at_s.items() if at_s <= asked_s]
             missing += ["answer to COMM_GET_VALUES_SELECTIVE"] if self._told_at_s <= asked_s else []
@@ -169,7 +353,7 @@ class Vesc(UnaskedBoard):
 
     def limit_current(self, amperes: float) -> None:
         """Limit the motor's current; nothing is stored. Raises LinkLost."""
-        self._bus.send(wire.current_limits(self.number, amperes))
+        self._bus.send(current_limits(self.number, amperes))
 
     # ---- frames
 
@@ -185,27 +369,27 @@ class Vesc(UnaskedBoard):
     def _take(self, packet: int, payload: bytes, now_s: float) -> None:
         match packet:
             case Packet.STATUS:
-                _, current_A, duty = wire.status(payload)
+                _, current_A, duty = status(payload)
                 self.current_A, self.is_driving = self._directed(current_A, duty), duty != 0.0
             case Packet.STATUS_4:
-                fets_degC, motor_degC, _, raw = wire.status_4(payload)
+                fets_degC, motor_degC, _, raw = status_4(payload)
                 self.temperature_degC = max(fets_degC, motor_degC)
                 if now_s != self._at_s[Packet.STATUS_4]:
                     self._begin_batch(now_s)
                 self._follow(raw)
                 self.counted.arrived(self._bus.drained_s, now_s)
             case Packet.STATUS_5:
-                self.supply_V = wire.status_5(payload).supply_V
+                self.supply_V = status_5(payload).supply_V
             case Packet.STATUS_6:
-                self.is_switch_on = wire.adc_1_V(payload) > SWITCH_V
+                self.is_switch_on = adc_1_V(payload) > SWITCH_V
             case Packet.STATUS_2 | Packet.STATUS_3:
-                self._watch_counters(packet, wire.counters(payload))
+                self._watch_counters(packet, counters(payload))
             case Packet.PONG:
                 self._is_here = True
-            case Packet.PROCESS_SHORT_BUFFER if (answer := wire.fault_in(payload)) is not None:
+            case Packet.PROCESS_SHORT_BUFFER if (answer := fault_in(payload)) is not None:
                 self.fault, self.fault_at_s = answer[1], now_s
             case Packet.PROCESS_RX_BUFFER:
-                self.settings = wire.settings_in(payload, self.number) or self.settings
+                self.settings = settings_in(payload, self.number) or self.settings
             case Packet.NOTIFY_BOOT:
                 self._restarted()
         if packet in self._at_s:

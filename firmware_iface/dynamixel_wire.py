@@ -5,6 +5,7 @@
 
 Numbers are little endian. Where parameters contain ff ff fd, another fd follows it (dynamixel-sdk 4.1.0 leaves it out). The CRC
 is CRC-16/BUYPASS (polynomial 0x8005 from 0) of all bytes before it.
+
 """
 
 from collections.abc import Sequence

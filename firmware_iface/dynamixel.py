@@ -5,8 +5,8 @@ import struct
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
+from firmware_iface import dynamixel_wire
 from firmware_iface.clock import Clock
-from firmware_iface.dynamixel import wire
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import Instruction, ServoLine
@@ -82,17 +82,17 @@ class DynamixelLine(ServoLine):
 
     def _goal_positions(self) -> bytes:
         goals = {servo.number: struct.pack("<i", servo.goal) for servo in self.servos if servo.goal is not None}
-        return wire.sync_write(GOAL_POSITION, goals) if goals else b""
+        return dynamixel_wire.sync_write(GOAL_POSITION, goals) if goals else b""
 
     def _all_values(self) -> bytes:
-        return wire.sync_read([servo.number for servo in self.servos], *VALUES_SPAN)
+        return dynamixel_wire.sync_read([servo.number for servo in self.servos], *VALUES_SPAN)
 
 
 class DynamixelServo(SmartServo):
     """One Dynamixel X servo."""
 
     CALLED = "Dynamixel"
-    WIRE: ClassVar[ServoWire] = wire
+    WIRE: ClassVar[ServoWire] = dynamixel_wire
     TORQUE, DELAY, FORCE = TORQUE_ENABLE, RETURN_DELAY, GOAL_CURRENT
     REMEDY = ", protocol 2.0, status return level 2"
     ERRORS: ClassVar[Mapping[int, str]] = {0x01: "voltage", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"}
@@ -205,7 +205,7 @@ class DynamixelServo(SmartServo):
     def reboot(self) -> None:
         """Restart the servo, which ends a hardware error; its torque is off then."""
         self._watchdog = 0
-        self._converse(lambda: wire.packet(self.number, Instruction.REBOOT), 0, "REBOOT")
+        self._converse(lambda: dynamixel_wire.packet(self.number, Instruction.REBOOT), 0, "REBOOT")
         clock = self._line.clock
         clock.wait_until_s(clock.now_s() + REBOOT_s)
 
