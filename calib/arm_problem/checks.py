@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of, referenced
@@ -11,7 +9,7 @@ from calib.arm_problem.misread import AS_GIVEN, Doubt, doubts_of_arm, doubts_of_
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
-from calib.points.points import Points, seen_again
+from calib.points.points import Points, require_radians, seen_again
 from control.model.arm import Arm
 from control.plain_text import first_of, listed
 
@@ -19,7 +17,6 @@ POINTS_MINIMUM_COUNT = 4
 LINE_TOLERANCE = 5e-3  # spread across the best line, as a share of the spread along it: 1 mm for 0.2 m
 OTHER_POSTURE_rad = 0.05  # between postures in one cavity that count as different
 SAME_PLACE_m = 1e-3
-TURNS_LIMIT_rad = 6 * math.pi  # no joint turns more than three times
 COPIES_SHARE = 0.5  # of points that are copies of others: not a valid session
 STILL_rad = 1e-4
 
@@ -45,7 +42,7 @@ def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> tuple[str
     doubts: tuple[Doubt, ...] = ()
     if len(known) >= POINTS_MINIMUM_COUNT:
         doubts = doubts_of_reading(arm, problem_of(arm, known, choice), points.is_as_given)
-    _require_radians(points.q_rad)
+    require_radians(points.q_rad)
     return tuple(one.in_words() for one in doubts)
 
 
@@ -65,7 +62,7 @@ def require_sound(problem: ArmProblem) -> None:
     require_finite(observed.q_rad, observed.position_m)
     _require_count(observed.q_rad, problem.references_m)
     _require_spread(observed.q_rad, problem.references_m)
-    _require_radians(observed.q_rad)
+    require_radians(observed.q_rad)
 
 
 def require_finite(q_rad: Array, position_m: Array) -> None:
@@ -101,16 +98,6 @@ def _has_several_postures(q_rad: Array, references_m: Array) -> bool:
     _, places = np.unique(np.round(references_m / SAME_PLACE_m), axis=0, return_inverse=True)
     flat = np.asarray(places).ravel()
     return any(np.ptp(q_rad[flat == place], axis=0).max() > OTHER_POSTURE_rad for place in set(flat.tolist()))
-
-
-def _require_radians(q_rad: Array) -> None:
-    """Refuse angles beyond three turns: they are degrees or counts."""
-    largest = float(np.max(np.abs(q_rad)))
-    if largest > TURNS_LIMIT_rad:
-        joint = int(np.argmax(np.max(np.abs(q_rad), axis=0))) + 1
-        raise UnusablePointsError(
-            f"q{joint}_rad reaches {largest:.6g}, more than three turns: expected radians, not degrees or counts"
-        )
 
 
 def _copies(points: Points) -> tuple[str, ...]:

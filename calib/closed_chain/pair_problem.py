@@ -26,7 +26,7 @@ from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_ra
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
 from calib.identify.objective import Huber, Objective
-from calib.points.points import Points, make_points
+from calib.points.points import Points, make_points, require_radians
 from calib.points.reading import beyond, read_points
 from calib.points.writer import DISTANCE, Key
 from control.kinematics.chain import TipSlopes
@@ -36,7 +36,6 @@ from control.tables import TableColumn, TableFormat
 
 JOINED = "joined"
 DISTANCE_MOST_m = 5.0
-TURNS_LIMIT_rad = 6 * math.pi
 BESIDE = TableFormat(
     "point",
     (
@@ -113,8 +112,7 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
         raise UnusablePointsError(
             f"{path}: contacts have no measured tips: remove x_m, y_m, z_m, or calibrate each arm by itself"
         )
-    if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
-        raise UnusablePointsError(f"{path}: the joint angles look like degrees: expected radians")
+    require_radians(points.q_rad, f"{path}: ")
     table = beyond(points, path, BESIDE, PointsFileError)
     distance_m, joined = np.nan_to_num(table.number(DISTANCE)), tuple(table.words(JOINED))
     for row, name in enumerate(joined):

@@ -18,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel, Parameter, dh_names
-from calib.arm_problem.checks import TURNS_LIMIT_rad
 from calib.arm_problem.expansion import ALL, Problem
 from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.posed import WithRows, in_threes
 from calib.arm_problem.problem import TOOL_NAMES
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
-from calib.points.points import Points
+from calib.points.points import Points, require_radians
 from calib.points.reading import beyond
 from control.model.arm import Arm
 from control.tables import TableColumn, TableContent, TableFormat
@@ -110,8 +109,7 @@ def has_readings(points: Points) -> bool:
 def readings_of(arm: Arm, points: Points, where: Path) -> Readings:
     """The readings of a file. PointsFileError or UnusablePointsError names line and column."""
     table = beyond(points, where, LENGTHS, PointsFileError)
-    if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
-        raise UnusablePointsError(f"{where}: the joint angles look like degrees: expected radians")
+    require_radians(points.q_rad, f"{where}: ")
     devices, length_m = table.words(OF), table.number(LENGTH)
     rows = [k for k, text in enumerate(devices) if text]
     if not rows:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen
+from calib.errors import UnusablePointsError
 
 REQUIRED = ("setup", "point", "repeat")
 TIP = ("x_m", "y_m", "z_m")
@@ -27,6 +28,7 @@ ARRAYS = ("q_rad", "tip_m", "direction", "current_A", *SCALARS, "orientation", "
 # In the column `frame`: positions and orientations are in a frame of unknown place, of a camera (files of
 # `armwright camera`), or of the arm's [camera.stream], which a calibration then places.
 CAMERA_FRAME, STREAM_FRAME = OWN_FRAMES = ("camera", "stream")
+TURNS_LIMIT_rad = 6 * math.pi  # no joint turns more than three times
 FREE = "free"  # in the column `setup`: poses away from any board
 
 
@@ -200,3 +202,13 @@ def is_covariance(triangle: Array) -> bool:
     except np.linalg.LinAlgError:
         return False
     return True
+
+
+def require_radians(q_rad: Array, where: str = "") -> None:
+    """UnusablePointsError for angles (m, n) beyond three turns: they are degrees or counts. `where` begins what is said."""
+    reach = np.abs(q_rad).max(axis=0)
+    if (largest := float(reach.max())) > TURNS_LIMIT_rad:
+        raise UnusablePointsError(
+            f"{where}q{int(reach.argmax()) + 1}_rad reaches {largest:.6g}, more than three turns: expected radians, not degrees"
+            " or counts"
+        )

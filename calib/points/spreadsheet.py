@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import Array
-from calib.errors import PointsFileError
-from calib.points.points import FREE, TIP, Points, make_points
+from calib.errors import PointsFileError, UnusablePointsError
+from calib.points.points import FREE, TIP, Points, make_points, require_radians
 from control.files import read_bytes
 from control.model.arm import Arm
 
@@ -138,6 +138,12 @@ def understood(sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles:
     angle = _unit(sheet, of_angle, angles, "--angles", ANGLES, notes)
     length = _unit(sheet, of_length, lengths, "--lengths", LENGTHS, notes)
     q_rad = np.column_stack([sheet.numbers(name) for name in of_angle]) * ANGLES[angle]
+    try:
+        require_radians(q_rad)
+    except UnusablePointsError as error:
+        raise Unclear(
+            f"{sheet.path}: the unit of {', '.join(of_angle)}, read as {angle}: {error}", "--angles", "", tuple(ANGLES)
+        ) from None
     tip_m = np.column_stack([sheet.numbers(name) for name in of_length]) * LENGTHS[length]
     named = {ours: sheet.words(name) for ours in OPTIONAL if (name := column_of[ours])}
     setup = named.get("setup") or [FREE] * len(q_rad)

@@ -169,10 +169,15 @@ class _Planner:
         return islice(self._follower.starts(self._arm.rest_rad if q_near_rad is None else q_near_rad), _STARTS)
 
     def recipe(self, speeds: float | Sequence[float] | None, pace_m_s: float) -> TimedWaypoints:
-        """The way-points with their times, as asked for."""
-        turned = self._waypoints.orientations
+        """The way-points with their times, as asked for. PathError with the place in the file, where they come from one."""
+        turned, places = self._waypoints.orientations, self._waypoints.places
         turns = following.turns_rad(turned) if turned is not None else ()
-        return timed(self._waypoints.points, speeds, pace_m_s=pace_m_s, turns_rad=turns)
+        try:
+            return timed(self._waypoints.points, speeds, pace_m_s=pace_m_s, turns_rad=turns)
+        except PathError as problem:
+            if problem.waypoint is None or not places:
+                raise
+            raise PathError(f"{places[problem.waypoint - 1]}: {problem}", problem.waypoint) from problem
 
     def plan(self, recipe: TimedWaypoints, start: following.PathStart) -> PlannedPath:
         """Check, slow, check again; PathError if the path cannot be run from `start`."""

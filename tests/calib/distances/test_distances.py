@@ -137,7 +137,7 @@ def broken(change: str) -> Points:
         ("distance_m=", "column distance_m: got an empty cell, expected a length within"),
         ("distance_m=812", "expected a length within"),
         ("distance_sd_m=-1", "expected a number above 0"),
-        ("degrees", "look like degrees"),
+        ("degrees", "more than three turns: expected radians"),
         ("other arm", "expected joint angles in rad, lengths in m, of this arm"),
         ("few", "5 readings of lengths, 6 are needed"),
         ("few of one", '"wire:B": 3 readings, 4 are needed'),

@@ -97,6 +97,15 @@ def test_what_a_header_does_not_tell_is_asked_with_what_it_may_be(
     assert set(choices) <= set(unclear.value.choices)
 
 
+def test_a_unit_of_angles_that_cannot_be_is_asked_for_whoever_says_it(tmp_path: Path) -> None:
+    said: dict[str, str]
+    text = "q1 rad;q2 rad;q3 rad;x mm;y mm;z mm\n81;2;3;4;5;6\n"
+    for said in ({}, {"angles": "rad"}):
+        with pytest.raises(Unclear, match=r"read as rad: q1_rad reaches 81, more than three turns.*answer with --angles"):
+            points_of(tmp_path / "t.csv", text, **said)
+    assert points_of(tmp_path / "t.csv", text, angles="deg").q_rad[0, 0] == pytest.approx(np.radians(81))
+
+
 def test_answers_are_taken_and_wrong_ones_refused(tmp_path: Path) -> None:
     text = "A\tq2\tq3\tx\ty\tz\n90\t0\t0\t1\t0\t0\n"
     points = points_of(tmp_path / "t.csv", text, q1_rad="A", angles="deg", lengths="cm")

@@ -2,7 +2,9 @@
 
 import pytest
 
-from control.errors import WaypointFileError
+from control.errors import PathError, WaypointFileError
+from control.model.description import load_arm
+from control.motion.plan import plan_path
 from control.motion.waypoints import read_waypoints
 
 
@@ -19,6 +21,13 @@ def test_points_speeds_and_lines_are_read(tmp_path):
     assert waypoints.speeds_m_s == (0.2, 0.0)
     assert waypoints.places == (f"{path}, line 2", f"{path}, line 4")
     assert waypoints.name(2) == f"way-point 2 ({path}, line 4)"
+
+
+def test_a_path_that_cannot_be_timed_names_the_line(tmp_path):
+    path = _file(tmp_path, "x_m,y_m,z_m\n0.5,0,0.1\n\n0.5,0,0.1\n0.5,0.1,0.1\n")
+    with pytest.raises(PathError, match=r"path.csv, line 4: way-points 1 and 2 are the same point") as error:
+        plan_path(load_arm("right"), read_waypoints(path))
+    assert error.value.waypoint == 2
 
 
 def test_columns_may_come_in_any_order_and_without_speeds(tmp_path):
