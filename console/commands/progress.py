@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, TextIO
 
 from control.plain_text import aligned, folded
 from control.server.channel import Message, RuntimeGone
@@ -105,10 +105,10 @@ class Progress:
     Where somebody else has paused the motion, Enter at this terminal calls `resume`: only the client that began it may.
     """
 
-    def __init__(self, title: str, resume: Callable[[], None] | None = None) -> None:
-        self._title = title
+    def __init__(self, title: str, resume: Callable[[], None] | None = None, stream: TextIO | None = None) -> None:
+        self._title, self._stream = title, stream or sys.stderr
         self._resume = resume if sys.stdin.isatty() else None
-        self._is_terminal = sys.stderr.isatty()
+        self._is_terminal = self._stream.isatty()
         self._begun_s = time.monotonic()
         self._last: object = None
         self._is_drawn = self._is_paused = False
@@ -124,12 +124,12 @@ class Progress:
         step = answer["step"] or percent or str(answer["mode"]).lower()
         if self._is_terminal:
             width = shutil.get_terminal_size().columns - 1  # a line that wraps is not erased: each redraw would add one
-            sys.stderr.write(f"\r\x1b[K{f'{self._title}: {step}, {passed_s:.0f} s'[:width]}")
+            self._stream.write(f"\r\x1b[K{f'{self._title}: {step}, {passed_s:.0f} s'[:width]}")
             self._is_drawn = True
         elif (mark := (answer["step"], answer["mode"], int(QUARTERS * answer["progress"]))) != self._last:
             self._last = mark
-            sys.stderr.write(f"{self._title}: {step}\n")
-        sys.stderr.flush()
+            self._stream.write(f"{self._title}: {step}\n")
+        self._stream.flush()
 
     def _look_for_enter(self, is_paused: bool) -> None:
         was_paused, self._is_paused = self._is_paused, is_paused
@@ -144,8 +144,9 @@ class Progress:
     def close(self) -> None:
         """Erase the line."""
         if self._is_drawn:
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
+            self._stream.write("\r\x1b[K")
+            self._stream.flush()
+            self._is_drawn = False
 
 
 @contextlib.contextmanager

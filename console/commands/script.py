@@ -8,12 +8,13 @@ from pathlib import Path
 
 from calib.results import entries
 from console.commands.connection import connected, in_control, with_present_tool
-from console.commands.progress import answer, shown
+from console.commands.progress import Progress, answer, shown
 from console.lines import Grammar, LineError, LineOutcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.files import read_text
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.server.client import ArmClient
 from procedures.guiding import Replay, guided_motion, replayed
 
 
@@ -28,15 +29,25 @@ def run_script(args: argparse.Namespace) -> int:
         sys.stdout.write("".join(f"{number}: {line.text}\n" for number, line in lines))
         return 0
     outcomes: list[LineOutcome] = []
-    terminal = sys.stdout
+    shown_at: list[Progress] = []
+    terminal, screen = sys.stdout, sys.stderr
+
+    def connect() -> ArmClient:
+        client = in_control(args)
+        if screen.isatty():  # Enter resumes what another terminal has paused
+            client.on_wait = progress = Progress("script", client.resume, screen)
+            shown_at.append(progress)
+        return client
 
     def say(outcome: LineOutcome) -> None:
         outcomes.append(outcome)
+        for progress in shown_at:
+            progress.close()
         if not args.json:
             terminal.write(_described(outcome))
             terminal.flush()
 
-    status = replay(lines, lambda: in_control(args), say)
+    status = replay(lines, connect, say)
     if args.json:
         answer(args, {"status": status, "lines": [_message(outcome) for outcome in outcomes]}, "")
     return status

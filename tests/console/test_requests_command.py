@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import io
 import sys
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from console.commands import progress as waiting
-from console.commands import requests
+from console.commands import requests, script
 from console.main import main
 from control.errors import ArmError
 from control.safety.table import Mode
@@ -171,8 +174,19 @@ def test_what_waiting_shows_never_wraps(monkeypatch: pytest.MonkeyPatch) -> None
     assert len(terminal.getvalue().removeprefix("\r\x1b[K")) == 39
 
 
+def by_a_command(cell: Cell, tmp_path: Path) -> None:
+    with waiting.shown(cell.client, argparse.Namespace(command="move")):
+        cell.client.move_joints((0.4, -0.4, 0.6), 0.5)
+
+
+def by_a_script(cell: Cell, tmp_path: Path) -> None:
+    (tmp_path / "day.txt").write_text("wait 0.1\nmove --joints 0.4 -0.4 0.6\n")
+    assert main(["script", str(tmp_path / "day.txt")]) == 0
+
+
+@pytest.mark.parametrize("moved", [by_a_command, by_a_script])
 def test_enter_resumes_a_motion_that_another_client_paused_and_what_was_typed_before_does_not(
-    cell: Cell, monkeypatch: pytest.MonkeyPatch
+    moved: Callable[[Cell, Path], None], cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     typed, terminal, paused = ["typed ahead"], Typed(), 0
     monkeypatch.setattr(sys, "stderr", terminal)
@@ -190,11 +204,12 @@ def test_enter_resumes_a_motion_that_another_client_paused_and_what_was_typed_be
             typed.append("Enter")
 
     cell.watchers.append(watch)
-    with waiting.shown(cell.client, argparse.Namespace(command="move")):
-        cell.client.move_joints((0.4, -0.4, 0.6), 0.5)
+    monkeypatch.setattr(script, "in_control", lambda args: cell.client)
+    moved(cell, tmp_path)
     assert paused >= 500
     assert "Enter resumes" in terminal.getvalue()
     assert cell.mode is Mode.HOLDING
+    assert np.abs(np.subtract(cell.rig.joint_rad(), (0.4, -0.4, 0.6))).max() < 0.01
 
 
 def test_waiting_for_another_client_s_paused_motion_offers_no_enter(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
