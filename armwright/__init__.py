@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         OutOfReach,
         PathError,
     )
-    from control.hardware.averaging import Average
+    from control.hardware.measurement import Average
     from control.kinematics.inverse import Solution
     from control.model.arm import Arm
     from control.model.description import arm_names, load_arm, save_arm
@@ -108,7 +108,7 @@ _NAMES = {
         "OutOfReach",
         "PathError",
     ),
-    "control.hardware.averaging": ("Average",),
+    "control.hardware.measurement": ("Average",),
     "control.server.client": ("ArmFaulted", "MotionStopped", "RequestRefused", "RuntimeGone"),
     "control.model.arm": ("Arm",),
     "control.model.description": ("arm_names", "load_arm", "save_arm"),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armwright.kinematics import Kinematics
 from armwright.motion import Trajectory
 from control.errors import ArmError, BadTarget
-from control.hardware.averaging import Average
+from control.hardware.measurement import Average
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.channel import SocketChannel

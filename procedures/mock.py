@@ -24,12 +24,11 @@ from calib.arm_problem.frames import rotation_of
 from calib.errors import CalibrationError
 from control.errors import ArmError
 from control.files import write_whole
-from control.hardware.connect import Connection, connect
-from control.hardware.shared_bus import CellConnection, connect_cell
+from control.hardware.connect import CellConnection, Connection, connect, connect_cell
 from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort, Vector3
-from control.model.can_bus import usual_rate_Hz
+from control.model.board_kinds import usual_rate_Hz
 from control.model.cell import Cell, Placed
 from control.model.description import arm_text, save_arm
 from control.recording.record import FileSink, about_cell, about_columns, layout_of

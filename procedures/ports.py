@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from calib.session.moves import RestSample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
-from control.hardware.averaging import Average
+from control.hardware.measurement import Average
 from control.server.channel import RuntimeGone
 from control.server.client import ArmClient, ArmFaulted, fault_text
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from control.hardware.shared_bus import connect_cell
+from control.hardware.connect import connect_cell
 from control.loop.runtime import Runtime
 from control.model.cell import Cell, load_cell
 from control.safety.table import Mode

@@ -14,10 +14,9 @@ import msgspec
 from benchmarks.arms import RIGHT, SEVEN, SIX
 from benchmarks.loop.control_cycle import PARTS, WHOLE, DrainedPipe, Durations, Stopwatch, as_the_loop_runs
 from benchmarks.table import BenchRow
-from control.hardware.connect import connect
-from control.hardware.shared_bus import connect_cell
+from control.hardware.connect import connect, connect_cell
 from control.model.arm import Arm
-from control.model.can_bus import usual_rate_Hz
+from control.model.board_kinds import usual_rate_Hz
 from control.model.cell import Cell, load_cell
 from control.server.assemble import assemble, assemble_cell
 from control.server.client import ArmClient

@@ -20,7 +20,7 @@ from calib.errors import ImportedModelError
 from control.errors import ArmError
 from control.files import read_bytes
 from control.model.arm import Arm, Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 
 COUNTS: Final = 4096  # a turn of an STS, X and XL servo
 WORTH_SAYING_rad: Final = 0.02

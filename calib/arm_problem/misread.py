@@ -31,7 +31,7 @@ from calib.points.points import Points
 from control.kinematics.rotation import matrices, quaternions
 from control.model.arm import Arm
 from control.model.description import arm_names, load_arm
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from control.model.servos import SERVOS
 from control.plain_text import listed
 

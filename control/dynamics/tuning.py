@@ -6,7 +6,7 @@ all delays together
 
     P(jw) = b exp(-jw delay) / (jw (jw + a)).
 
-The controller is the loop's own, in its discrete form: control.servo.pid behind the speed filter of control.hardware.measurement,
+The controller is the loop's own, in its discrete form: control.servo behind the speed filter of control.hardware.measurement,
 
     C(z) = kp + ki T / (1 - 1/z) + kd H_pid(z) H_speed(z) (1 - 1/z) / T,   H(z) = g / (1 - (1 - g)/z),   g = T / (T + filter).
 

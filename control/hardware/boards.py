@@ -8,9 +8,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode
+from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode, Wanted
 from control.hardware.roles import AskedLine, Opened
-from control.hardware.words import Wanted
 from control.model.arm import Arm
 from firmware_iface.errors import LinkError, LinkLost, Problems
 

@@ -1,27 +1,142 @@
-"""The hardware interface of the loop: measured values in, outputs out.
+"""The hardware interface of the loop: measured values in, outputs out; of joints, gripper and named pins.
 
 The only interface between loop and wires. Values are per joint, in the joint's own sign (board wiring signs are corrected
 below it) and in the encoder's counts; the loop maps counts to angles. `read` and `write` do not block: `read` drains what has
-arrived, `write` queues what is to be sent.
+arrived, `write` queues what is to be sent. Flags, states and faults are those of the reference boards, into which other boards'
+are translated.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Final, Protocol
 
-from control.hardware.gripper_board import GripperHardware
-from control.hardware.words import Wanted
 from control.model.end_effector import Digital
+from firmware_iface.errors import LinkError
 from firmware_iface.motor.board import DigitalPins
 
-# The named pins of an arm's motor boards, for the loop.
 
-STALE_s = 0.2  # ten questions; older levels are unknown
+class Wanted(Enum):
+    """What is wanted of every drive of an arm. The loop says it in each cycle, with what is to be commanded."""
+
+    AS_FOUND = "nothing is commanded: each board goes on with what it did when it was connected"
+    DISABLED = "no torque; a board that has it all the same is switched off"
+    ENABLING = "all are taken to OPERATION ENABLED: by a person's request only"
+    ENABLED = "those in operation are commanded; one that has left it is not taken back"
+
+    def __init__(self, _: str) -> None:
+        self.is_on: bool = self.name in ("ENABLING", "ENABLED")
+        """Whether drives in operation are commanded."""
+
+
+# Flags of an encoder channel, docs/encoder_board.md.
+HOME_SWITCH: Final = 1 << 2
+ZERO_SET: Final = 1 << 3
+QUADRATURE_ERROR: Final = 1 << 4
+SIGNAL_LOST: Final = 1 << 5
+# Of a drive's own inputs for limit switches, in the joint's sense: no encoder channel has them.
+LOWER_LIMIT: Final = 1 << 8
+UPPER_LIMIT: Final = 1 << 9
+
+# Statuswords of CiA 402, low byte, docs/motor_board.md.
+STATE_MASK: Final = 0x6F
+SWITCH_ON_DISABLED: Final = 0x40
+OPERATION_ENABLED: Final = 0x27
+FAULT: Final = 0x08
+WARNING: Final = 0x80  # the board limits its output
+
+# Faults of a drive.
+OVER_CURRENT: Final = 1 << 0
+OVER_TEMPERATURE: Final = 1 << 1
+SUPPLY_LOW: Final = 1 << 2
+SUPPLY_HIGH: Final = 1 << 3
+WATCHDOG: Final = 1 << 4
+OWN_ENCODER: Final = 1 << 5
+BAD_COMMAND: Final = 1 << 6
+EMERGENCY_STOP: Final = 1 << 7
+
+
+def as_counter(count: int) -> int:
+    """A count as a counter of 32 bits says it: boards that say turns, and zeros that are kept here, know no such end."""
+    return (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+
+
+@dataclass(slots=True)
+class GripperFeedback:
+    """The board's latest values. `moved_m`: by the motor since power-up, opening positive; NaN without an encoder."""
+
+    current_A: float = 0.0
+    moved_m: float = math.nan
+    moved_at_s: float = -math.inf
+    reply_at_s: float = -math.inf
+    is_enabled: bool = False
+    faults: str = ""  # of its board, in words
+    problem: LinkError | None = None  # it restarted, or sent nonsense; once
+
+
+class TorqueWithTheArm:
+    """What is wanted of the gripper's drive: as of the arm's; and ENABLING when its fault was acknowledged."""
+
+    def __init__(self) -> None:
+        self._wanted = Wanted.AS_FOUND
+        self._is_coming = False
+
+    @property
+    def wanted(self) -> Wanted:
+        """Of the arm's drives, with ENABLING until this one is there."""
+        return Wanted.ENABLING if self._is_coming and self._wanted.is_on else self._wanted
+
+    @wanted.setter
+    def wanted(self, of_arm: Wanted) -> None:
+        self._is_coming |= of_arm.is_on and not self._wanted.is_on
+        self._wanted = of_arm if of_arm is not Wanted.ENABLING else Wanted.ENABLED
+
+    def take_back(self) -> None:
+        """Its fault was acknowledged."""
+        self._is_coming = True
+
+    def note(self, is_enabled: bool) -> None:
+        """Whether it is in operation: from then on it is not taken back."""
+        self._is_coming &= not is_enabled
+
+
+class GripperHardware(Protocol):
+    """The gripper's motor, on a board of any kind."""
+
+    feedback: GripperFeedback
+    torque: TorqueWithTheArm
+
+    def read(self, now_s: float) -> GripperFeedback:
+        """The values by now; the links have been drained before."""
+        ...
+
+    def write(self, volts: float | None, now_s: float) -> None:
+        """Take the drive a step towards what is wanted, or command a voltage, opening positive, or an open circuit (None)."""
+        ...
+
+    def has_torque(self) -> bool:
+        """Whether the board drives its motor, or holds it by itself."""
+        ...
+
+    def prepare(self) -> None:
+        """Upload what the board does not have. Waits."""
+        ...
+
+    def reset_fault(self) -> None:
+        """Acknowledge the board's fault, if it has one."""
+        ...
+
+    def emergency_stop(self) -> None:
+        """Stop now, where the joints' stop does not reach it."""
+        ...
+
+
+STALE_s = 0.2  # of pins: ten questions; older levels are unknown
 
 
 class NamedPins:
-    """Sets outputs and reads levels by name."""
+    """The named pins of an arm's motor boards: sets outputs and reads levels by name."""
 
     def __init__(self, described: Sequence[Digital], boards: Mapping[int, DigitalPins]) -> None:
         self._described = tuple(described)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 from control.dynamics.gains import Gains
 from control.hardware.board_stop import board_stop, can_hold
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.interface import Feedback, OutputMode, Wanted
 from control.hardware.roles import Opened
-from control.hardware.words import Wanted
 from control.model.arm import Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardFaulted, BoardSilent, LinkError, MisuseError

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from control.hardware.interface import Attended, Feedback, OutputMode
-from control.hardware.words import Wanted
+from control.hardware.interface import Attended, Feedback, OutputMode, Wanted
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError

@@ -6,8 +6,8 @@ jogs, stops), fault_reactions, homing, shutdown. Each module lists the attribute
 
 import math
 
-from control.hardware.averaging import Averaging
 from control.hardware.board_stop import Bridge
+from control.hardware.measurement import Averaging
 from control.loop.drives import Bound, DriveStates
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging

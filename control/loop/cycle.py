@@ -19,16 +19,15 @@ import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from control.end_effector.gripper import GripState
-from control.hardware.interface import Hardware, OutputMode
-from control.hardware.words import Wanted
+from control.end_effector import GripState
+from control.hardware.interface import Hardware, OutputMode, Wanted
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
 from control.loop.arm_state import ArmState
 from control.loop.drives import Bound, drives_wanted
 from control.loop.parts import NOWHERE
 from control.loop.watch import Expectation
 from control.recording.record import COUNT_MOST
-from control.safety.fault import Fault, Reaction
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import Event, Mode
 from firmware_iface.errors import AnotherHost, BoardReset, LinkError
 

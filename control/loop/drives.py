@@ -10,10 +10,9 @@ import math
 from collections.abc import Sequence
 from enum import Enum
 
-from control.hardware.interface import Feedback
-from control.hardware.words import OPERATION_ENABLED, STATE_MASK, Wanted
+from control.hardware.interface import OPERATION_ENABLED, STATE_MASK, Feedback, Wanted
 from control.loop.watch import faults_of_drive
-from control.safety.fault import Fault, Reaction
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import Mode
 
 CHANGE_LIMIT_S = 1.0  # a drive takes three cycles; a second means an emergency stop, or another program

@@ -9,10 +9,10 @@ from typing import Final
 
 from control.errors import ArmError
 from control.loop import set_points
-from control.loop.active_motion import stop_along, stop_from
 from control.loop.arm_state import ArmState
-from control.safety.fault import Fault, Reaction
+from control.loop.set_points import stop_along, stop_from
 from control.safety.limits import Clip
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Mode
 from firmware_iface.errors import LinkError
 

@@ -4,13 +4,13 @@ Writes `homing` and, when the pose becomes known, the set-point.
 """
 
 from control.errors import ArmError
-from control.hardware.words import ZERO_SET
+from control.hardware.interface import ZERO_SET
 from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail
 from control.loop.homing_sequence import HomingFailed
 from control.motion.setpoint import at_rest
-from control.safety.fault import Fault, Reaction
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import Event
 
 

@@ -21,8 +21,7 @@ from enum import Enum
 from typing import Protocol
 
 from control.hardware.board_stop import Bridge
-from control.hardware.interface import Feedback
-from control.hardware.words import HOME_SWITCH
+from control.hardware.interface import HOME_SWITCH, Feedback
 from control.motion.setpoint import SetPoint
 
 # By as much a held joint may hunt at rest: without friction by a count, with play or friction by more.

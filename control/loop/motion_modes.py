@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from control.errors import ArmError
 from control.hardware.board_stop import Bridge
 from control.loop import set_points
-from control.loop.active_motion import begin, stop_along, stop_from
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
 from control.loop.jogging import JogRequest
+from control.loop.set_points import begin, stop_along, stop_from
 from control.motion.lookout import Lookout
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.fault import Fault, Reaction
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
 
 WORKSPACE_REMEDY = (

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 from control.dynamics.joint_side import JointSide
 from control.dynamics.loads import Loads
-from control.end_effector.gripper import GripperControl
-from control.end_effector.outputs import Outputs
+from control.end_effector import GripperControl, Outputs
 from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement, MotorLeads
@@ -23,7 +22,7 @@ from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
 from control.safety.limits import SetPointLimits, UniqueTurn
-from control.servo.servo import GravityCompensation, Servo
+from control.servo import GravityCompensation, Servo
 
 Strain = Callable[[], tuple[int, int]]
 KEPT_CYCLES = 500  # a second at the usual rate

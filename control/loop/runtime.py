@@ -2,16 +2,15 @@
 
 from collections.abc import Sequence
 
-from control.end_effector.gripper import GripState as GripperState
+from control.end_effector import GripState as GripperState
 from control.errors import ArmError
-from control.hardware.interface import OutputMode
-from control.hardware.words import Wanted
+from control.hardware.interface import OutputMode, Wanted
 from control.loop import homing, motion_modes, set_points, shutdown
 from control.loop.cycle import Cycle
 from control.loop.jogging import JogRequest
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.fault import Fault
+from control.safety.monitor import Fault
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset
 

@@ -1,13 +1,15 @@
-"""Set-points: of the joints, and the aim, which is the set-point of their encoders.
+"""Set-points: of the joints, and the aim, which is the set-point of their encoders; and the active motion that gives them, a
+planned one or the stop that replaces it.
 
-Writes `set_point`, `aim` and `is_of_encoders`. The two are equal on an arm without effects behind its encoders; else
-`control.dynamics.joint_side` converts between them, once the arm is homed.
+Writes `set_point`, `aim` and `is_of_encoders`, `paced` and `stops_along`. Set-point and aim are equal on an arm without effects
+behind its encoders; else `control.dynamics.joint_side` converts between them, once the arm is homed.
 """
 
 from collections.abc import Sequence
 
 from control.loop.arm_state import ArmState
-from control.motion.setpoint import SetPoint, at_rest
+from control.motion.pace import Limited, Paced
+from control.motion.setpoint import Motion, SetPoint, at_rest
 from control.safety.limits import Clip, limit_set_point
 from control.safety.table import Mode
 
@@ -116,3 +118,32 @@ def follow_shift(state: ArmState) -> None:
         point._replace(q_rad=tuple(q + shift for q, shift in zip(point.q_rad, shifts, strict=True)))
         for point in (state.set_point, state.aim)
     )
+
+
+STOP_WITHIN_S = 0.4  # from full speed and pace it takes 0.3 s, the joints' own stops 0.25 s
+
+
+def begin(state: ArmState, motion: Motion, pace: float, beside: Sequence[Limited] = ()) -> None:
+    """Start `motion` now; `beside`: motions of other arms that keep its pace."""
+    state.stops_along = False
+    state.paced = Paced(motion, limits_of(state), pace, beside)
+
+
+def limits_of(state: ArmState) -> Sequence[float]:
+    """Of each joint's acceleration [rad/s2]."""
+    return [limit.acceleration_rad_s2 for limit in state.parts.set_point_limits]
+
+
+def stop_along(state: ArmState) -> bool:
+    """Let the active motion slow down to rest on its own path, if that is soon enough; return whether it is."""
+    state.stops_along = state.paced is not None and state.paced.can_rest(STOP_WITHIN_S)
+    return state.stops_along
+
+
+def stop_from(state: ArmState, point: SetPoint) -> None:
+    """Plan the jerk-limited stop from `point`; brake if there is none."""
+    if point is not state.set_point:
+        state.set_point = point
+        state.parts.servo.reset()
+    plan = state.parts.tool.guard.stop_from if state.monitor.is_homed else state.parts.stop_from
+    begin(state, plan(point), 1.0)

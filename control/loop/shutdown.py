@@ -5,7 +5,7 @@ of the drives follows from it (control.loop.drives).
 """
 
 from control.errors import ArmError
-from control.hardware.words import WATCHDOG, Wanted
+from control.hardware.interface import WATCHDOG, Wanted
 from control.loop.arm_state import ArmState
 from control.loop.drives import CHANGE_LIMIT_S, Bound
 from control.loop.homing import require_plausible, take_known_zeros

@@ -7,10 +7,9 @@ from collections.abc import Hashable, Iterable, Sequence
 from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Effect, Home, Table
 from control.model.board_kinds import KINDS, BoardKind, bus_conflict
 from control.model.camera import CameraStream
-from control.model.drive import OWN_INPUT
+from control.model.drive import OWN_INPUT, JointMap
 from control.model.effects import EFFECTS, EffectKind, parameter_names
 from control.model.end_effector import Gripper
-from control.model.joint_map import JointMap
 from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected

@@ -20,8 +20,7 @@ from control.model.arm import Arm, Camera, CanBus
 from control.model.board_kinds import KINDS, bus_conflict
 from control.model.description import load_arm, save_arm, syntax_error
 from control.model.end_effector import Vector3
-from control.model.reader import Rejected, read_table
-from control.model.toml_lines import key_lines, nearest_line
+from control.model.reader import Rejected, key_lines, nearest_line, read_table
 
 SUPPLIED = Path(__file__).parents[1] / "cells"
 UNIT_TOLERANCE = 2e-3  # of a quaternion's length: three decimals in a file

@@ -82,7 +82,7 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("gripper_m", "m", "opening of the gripper; absent: not known"),
         Field("gripper_goal_m", "m", "opening that was asked for; absent: none, or its end"),
         Field("gripper_A", "A", "current of the gripper's motor, opening positive"),
-        Field("gripper_state", "1", "number of the gripper's state, by control.end_effector.gripper.GripState"),
+        Field("gripper_state", "1", "number of the gripper's state, by control.end_effector.GripState"),
         Field("digital", "1", "levels of the named pins as bits, in the order of the arm.toml"),
     ),
 }

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from control.dynamics.joint_side import has_joint_side
-from control.end_effector.gripper import GripState
+from control.end_effector import GripState
 from control.files import NotWritten
 from control.model.arm import Arm
 from control.model.cell import Cell

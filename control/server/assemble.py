@@ -9,15 +9,13 @@ from control.dynamics.feedforward import Motor, torque_constants_Nm_A
 from control.dynamics.gains import InertiaScale, gains_of
 from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
 from control.dynamics.loads import Loads, without_tool_mass
-from control.end_effector.gripper import GripperControl, PlacedGripper
-from control.end_effector.outputs import Outputs
+from control.end_effector import GripperControl, Outputs, PlacedGripper
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
-from control.hardware.gripper_on_board import PlacedOnBoard
-from control.hardware.interface import Hardware, OutputMode
+from control.hardware.gripper import PlacedOnBoard
+from control.hardware.interface import LOWER_LIMIT, UPPER_LIMIT, Hardware, OutputMode
 from control.hardware.measurement import Measurement, MotorLeads
 from control.hardware.tip_camera import TipCamera
-from control.hardware.words import LOWER_LIMIT, UPPER_LIMIT
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.loop import cross_checks
@@ -30,8 +28,7 @@ from control.loop.runtime import Runtime
 from control.loop.watch import MeasuredLimits, Watch, WatchLimits
 from control.model.arm import Arm, Drive
 from control.model.cell import Cell
-from control.model.drive import OWN_INPUT
-from control.model.joint_map import JointMap
+from control.model.drive import OWN_INPUT, JointMap
 from control.motion.guard import Guard
 from control.motion.joint_limits import JogLimits, JointLimits
 from control.motion.joint_move import StopMotion, prepare
@@ -39,8 +36,7 @@ from control.recording.record import NoSink, Recorder, RowSink, layout_of
 from control.safety.limits import SetPointLimits, UniqueTurn
 from control.server.cell_requests import CellRequests
 from control.server.requests import Requests
-from control.servo.pid import Pid
-from control.servo.servo import GravityCompensation, MotionTorque, Servo
+from control.servo import GravityCompensation, MotionTorque, Pid, Servo
 
 PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host with longer pauses is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: no controlled motion overshoots as much

@@ -8,8 +8,8 @@ import copy
 from collections.abc import Mapping, Sequence
 
 from control.errors import ArmError
-from control.loop.active_motion import limits_of
 from control.loop.cell import CellRuntime
+from control.loop.set_points import limits_of
 from control.model.cell import Cell
 from control.model.fingerprint import places_of
 from control.motion.pace import Stretched

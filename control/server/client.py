@@ -17,7 +17,7 @@ from control.model.fingerprint import fingerprint, require_same
 from control.server.channel import Channel, Message, RuntimeGone
 
 if TYPE_CHECKING:
-    from control.hardware.averaging import Average
+    from control.hardware.measurement import Average
     from control.model.cell import Cell
 
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
@@ -238,7 +238,7 @@ class ArmClient:
 
         ArmFaulted if a fault comes in between; ArmLate if the runtime gets no values to average.
         """
-        from control.hardware.averaging import Average  # most clients average nothing
+        from control.hardware.measurement import Average  # most clients average nothing
 
         self.ask("average", duration_s=duration_s)
         waited_s = 0.0

@@ -4,7 +4,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from control.hardware.shared_bus import AttendedClock
+from control.hardware.connect import AttendedClock
 from control.loop.cell import Looped
 from control.server.channel import Message, RuntimeGone
 from control.server.messages import Asked, asked

@@ -17,17 +17,16 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from control.hardware.connect import Connection
-from control.hardware.shared_bus import AttendedClock, connect_cell
+from control.hardware.connect import AttendedClock, Connection, connect_cell
 from control.loop.runtime import Runtime
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.model.description import arm_text
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from control.recording.cell_folder import new_folder
 from control.recording.record import PipeSink, about_cell, about_columns, layout_of
 from control.recording.recorder_state import RecorderState, hours_left
-from control.recording.rotation import begin, stored_row_bytes
+from control.recording.writer import begin, stored_row_bytes
 from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Mode
 from control.server.assemble import assemble, assemble_cell
 from control.server.channel import linked

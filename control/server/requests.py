@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from msgspec import UNSET
 
 from control.errors import ArmError
-from control.hardware.averaging import Averaging
+from control.hardware.measurement import Averaging
 from control.loop.jogging import JogRequest, JointSpeeds, JointStep, TipStep, TipVelocity
 from control.loop.neighbours import Neighbours
 from control.loop.runtime import Runtime

@@ -5,7 +5,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from control.end_effector.gripper import GripState as GripperState
+from control.end_effector import GripState as GripperState
 from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.rotation import quaternion_of
 from control.loop.homing import doubt

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 
 from control.errors import ArmError
 from control.hardware.connect import with_links
-from control.hardware.interface import NamedPins
+from control.hardware.interface import HOME_SWITCH, NamedPins
 from control.hardware.reference_boards import start_stream
-from control.hardware.words import HOME_SWITCH
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.joint_map import Unwrapper
+from control.model.drive import Unwrapper
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.encoder.board import EncoderBoard

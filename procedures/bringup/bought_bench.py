@@ -12,10 +12,9 @@ from typing import Final, Literal
 
 from control.errors import ArmError
 from control.hardware.connect import connect
-from control.hardware.interface import OutputMode
-from control.hardware.words import HOME_SWITCH, OPERATION_ENABLED, STATE_MASK, Wanted
+from control.hardware.interface import HOME_SWITCH, OPERATION_ENABLED, STATE_MASK, OutputMode, Wanted
 from control.model.arm import Arm, Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError, MisuseError
 from firmware_iface.link import Closing

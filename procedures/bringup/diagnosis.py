@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from statistics import fmean, median
 
-from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
+from control.hardware.interface import QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive, Home
 from procedures.bringup.measuring import ODD_RATIO, JointMeasurements, has_two_indices
 from procedures.bringup.wiring import MeasuredWiring

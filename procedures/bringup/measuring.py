@@ -15,9 +15,9 @@ from enum import Enum
 from itertools import pairwise
 from statistics import fmean, median
 
-from control.hardware.words import HOME_SWITCH, LOWER_LIMIT, QUADRATURE_ERROR, SIGNAL_LOST
+from control.hardware.interface import HOME_SWITCH, LOWER_LIMIT, QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from procedures.bringup.wiring import Caution, MeasuredWiring
 from procedures.bringup.workbench import BringupOperator, DriveLimits, Sample, Stopped, Workbench
 

@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
-from control.hardware.words import SIGNAL_LOST
+from control.hardware.interface import SIGNAL_LOST
 from control.model.arm import Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from procedures.bringup.workbench import (
     BringupOperator,
     Channel,

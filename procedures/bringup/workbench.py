@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self
 
 from control.errors import ArmError
-from control.hardware.words import LOWER_LIMIT, UPPER_LIMIT
+from control.hardware.interface import LOWER_LIMIT, UPPER_LIMIT
 from control.model.arm import Drive
 from control.model.drive import OWN_INPUT
 from firmware_iface.clock import Clock

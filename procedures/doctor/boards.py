@@ -15,7 +15,7 @@ from control.hardware.interface import Feedback
 from control.hardware.reference_boards import start_stream
 from control.hardware.roles import Encoders, Opened
 from control.model.arm import Arm, Drive, EncoderBoardPort
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire

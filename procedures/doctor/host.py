@@ -25,7 +25,7 @@ from control.recording.frame_decoder import row_type
 from control.recording.reading import Recording, RowReader
 from control.recording.record import Layout
 from control.recording.recorder_state import SUFFIX
-from control.recording.rotation import stored_row_bytes
+from control.recording.writer import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy, strain
 from firmware_iface.can_link import INTERFACES, can_buses

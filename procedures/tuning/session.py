@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from control.dynamics.tuning import Response
 from control.errors import ArmError
 from control.hardware.connect import connect
-from control.hardware.interface import Hardware, OutputMode
-from control.hardware.words import Wanted
+from control.hardware.interface import Hardware, OutputMode, Wanted
 from control.model.arm import Arm
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.table import Mode
 from control.server.assemble import assemble

@@ -10,7 +10,7 @@ import pytest
 from console.main import main
 from control.errors import ArmError
 from control.recording.record import Layout
-from control.recording.rotation import Policy, RecordingParts, begin
+from control.recording.writer import Policy, RecordingParts, begin
 from procedures.tour import RunRows
 from procedures.verify.survey import recorded, wait_until_recorded
 

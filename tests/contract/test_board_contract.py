@@ -6,7 +6,7 @@ from contextlib import suppress
 import pytest
 
 from control.hardware.interface import OutputMode
-from control.safety.fault import Reaction
+from control.safety.monitor import Reaction
 from control.safety.table import Mode
 from control.server.client import ArmFaulted
 from hil_mocks.firmware.library import compiler

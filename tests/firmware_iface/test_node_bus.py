@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from control.hardware.measurement import Measurement
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.node_bus import LOST, AnswersInTurn, Dating, SteadyMessages
 from firmware_iface.odrive import OdriveAxis, OdriveBus
 from firmware_iface.vesc import Vesc, VescBus

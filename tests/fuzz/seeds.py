@@ -21,7 +21,7 @@ from control.model.description import load_arm
 from control.recording.export import to_mcap
 from control.recording.reading import Recording
 from control.recording.record import Layout
-from control.recording.rotation import PartFile, begin
+from control.recording.writer import PartFile, begin
 from firmware_iface.encoder import wire
 from firmware_iface.mocap import qtm
 from hil_mocks.devices.mocap import NatNetMock, QtmMock

@@ -14,7 +14,7 @@ from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session.take import SessionSettings
 from control.errors import ArmError
-from control.hardware.averaging import Average, MeanPose
+from control.hardware.measurement import Average, MeanPose
 from procedures.tour import Bench, How, Stop, tour
 
 HOW = How(SessionSettings())

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from control.dynamics.gains import Gains
 from control.safety.limits import SetPointLimits, limit_set_point, stopping_speed
-from control.servo.pid import Pid
+from control.servo import Pid
 
 T = 0.002
 LIMIT = SetPointLimits(-1.0, 1.0, 2.0, 10.0)

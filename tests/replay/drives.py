@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from benchmarks.loop.memory_rig import Delivery, MemoryRig
 from control.model.description import load_arm
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from control.recording.frame_decoder import FrameDecoder, row_type
 from control.recording.frames import FrameEncoder, columns_of, content_of, in_frames, stored_columns
 from control.recording.record import Layout

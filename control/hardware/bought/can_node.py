@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 from control.errors import MissingModel
-from control.hardware import words
+from control.hardware import interface
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import AskedEncoders, Line, Opened
 from control.model.arm import Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted
 from firmware_iface.link import FrameLink
@@ -77,12 +77,12 @@ class NodeEncoder(AskedEncoders):
         board, joint = self._board, self._joint
         if self._resets != board.resets:
             self._resets, self._is_zero_set, self._latched = board.resets, self._is_absolute, None
-        feedback.count[joint] = words.as_counter(board.count + self.offset)
+        feedback.count[joint] = interface.as_counter(board.count + self.offset)
         counted = board.counted
         feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = counted.at_s
         feedback.count_late_s[joint] = counted.late_s
-        flags = words.ZERO_SET if self._is_zero_set else 0
-        feedback.channel_flags[joint] = flags | (words.HOME_SWITCH if board.is_switch_on else 0)
+        flags = interface.ZERO_SET if self._is_zero_set else 0
+        feedback.channel_flags[joint] = flags | (interface.HOME_SWITCH if board.is_switch_on else 0)
 
     def fresh_count(self, joint: int) -> int:
         """A count that is sent from now on. BoardSilent if there is none."""
@@ -161,15 +161,15 @@ class NodeDrive(ABC):
         feedback.supply_V[joint] = board.supply_V
         feedback.temperature_C[joint] = board.temperature_degC
         feedback.drive_faults[joint] = self._faults
-        state = words.OPERATION_ENABLED if self._is_driving() else words.SWITCH_ON_DISABLED
-        feedback.statusword[joint] = words.FAULT if self._faults else state
+        state = interface.OPERATION_ENABLED if self._is_driving() else interface.SWITCH_ON_DISABLED
+        feedback.statusword[joint] = interface.FAULT if self._faults else state
 
-    def _may_drive(self, wanted: words.Wanted, is_in_operation: bool = True) -> bool:
+    def _may_drive(self, wanted: interface.Wanted, is_in_operation: bool = True) -> bool:
         """Whether a board that is set up and without a fault is wanted to drive: one in operation, or all that are to be enabled.
 
         A board without states of its own is in operation as long as it is obeyed.
         """
-        is_wanted = wanted is words.Wanted.ENABLING or (wanted is words.Wanted.ENABLED and is_in_operation)
+        is_wanted = wanted is interface.Wanted.ENABLING or (wanted is interface.Wanted.ENABLED and is_in_operation)
         return is_wanted and self._configured_resets == self._node.resets and not self._faults
 
     def is_any_enabled(self) -> bool:
@@ -266,7 +266,7 @@ class PositionLoopDrive(NodeDrive):
 
     def write(
         self,
-        wanted: words.Wanted,
+        wanted: interface.Wanted,
         modes: Sequence[OutputMode],
         output: Sequence[float],
         feedforward_V: Sequence[float],
@@ -276,8 +276,8 @@ class PositionLoopDrive(NodeDrive):
         joint = self._joint
         feedback.sent_V[joint] = math.nan
         self._is_enabled = self._may_drive(wanted, self._is_in_operation())
-        self._is_to_let_go = wanted is words.Wanted.DISABLED
-        if wanted is words.Wanted.AS_FOUND:
+        self._is_to_let_go = wanted is interface.Wanted.DISABLED
+        if wanted is interface.Wanted.AS_FOUND:
             self._look()
             return
         mode = modes[joint] if self._is_enabled else OutputMode.VOLTAGE

@@ -7,12 +7,12 @@ brake by shorted windings. The zero is kept here, as an offset, so nothing is st
 import math
 from collections.abc import Callable, Sequence
 
-from control.hardware import words
+from control.hardware import interface
 from control.hardware.bought.can_node import NodeEncoder, open_bus
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.can_link import open_can
 from firmware_iface.canopen import (
     CYCLE_TIME,
@@ -46,12 +46,12 @@ _REACTIONS = {
 ALIKE = 30.0  # times: a unit mistaken in the drive or in arm.toml is a thousand
 # Error codes of CiA 402 and CiA 301 by their first digits, as the loop's faults; the rest counts as a bad encoder or sensor.
 _FAULT_OF = (
-    (0x2000, 0xF000, words.OVER_CURRENT),
-    (0x3100, 0xFF00, words.SUPPLY_LOW),
-    (0x3210, 0xFFF0, words.SUPPLY_HIGH),
-    (0x3220, 0xFFF0, words.SUPPLY_LOW),
-    (0x4000, 0xF000, words.OVER_TEMPERATURE),
-    (0x8100, 0xFF00, words.WATCHDOG),
+    (0x2000, 0xF000, interface.OVER_CURRENT),
+    (0x3100, 0xFF00, interface.SUPPLY_LOW),
+    (0x3210, 0xFFF0, interface.SUPPLY_HIGH),
+    (0x3220, 0xFFF0, interface.SUPPLY_LOW),
+    (0x4000, 0xF000, interface.OVER_TEMPERATURE),
+    (0x8100, 0xFF00, interface.WATCHDOG),
 )
 
 
@@ -61,7 +61,7 @@ class Cia402Encoder(NodeEncoder):
     def __init__(self, drive: Cia402Drive, described: Drive) -> None:
         super().__init__(drive, described.joint - 1, is_asked=True)
         self._drive = drive
-        flags = (words.LOWER_LIMIT, words.UPPER_LIMIT)
+        flags = (interface.LOWER_LIMIT, interface.UPPER_LIMIT)
         self._negative, self._positive = flags if JointMap(described).counts_per_radian > 0.0 else flags[::-1]
 
     def take(self, feedback: Feedback) -> None:
@@ -100,17 +100,17 @@ class Cia402Joint:
         is_faulted = drive.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
         feedback.drive_faults[joint] = self._faults() if is_faulted else 0
         # Bit 7 of a drive's statusword is a warning of its own, not that its output is limited.
-        feedback.statusword[joint] = words.FAULT if is_faulted else drive.statusword & words.STATE_MASK
+        feedback.statusword[joint] = interface.FAULT if is_faulted else drive.statusword & interface.STATE_MASK
 
     def _faults(self) -> int:
         codes = self._drive.errors[-1:] or [0]
         if self._is_stopped:
-            return words.EMERGENCY_STOP
-        return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), words.OWN_ENCODER)
+            return interface.EMERGENCY_STOP
+        return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), interface.OWN_ENCODER)
 
     def write(
         self,
-        wanted: words.Wanted,
+        wanted: interface.Wanted,
         modes: Sequence[OutputMode],
         output: Sequence[float],
         feedforward_V: Sequence[float],
@@ -123,22 +123,22 @@ class Cia402Joint:
         is_in_operation = drive.state is DriveState.OPERATION_ENABLED
         if not (wanted.is_on and is_in_operation) or self._is_stopped:
             self._held = None
-        if wanted is words.Wanted.AS_FOUND:
+        if wanted is interface.Wanted.AS_FOUND:
             return  # SYNC alone asks for its values
         is_driving = drive.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
-        if self._is_stopped and is_driving and wanted is not words.Wanted.DISABLED:
+        if self._is_stopped and is_driving and wanted is not interface.Wanted.DISABLED:
             drive.quick_stop()  # and it stays there until the stop is acknowledged, or the arm goes off
-        elif wanted is words.Wanted.DISABLED or self._is_stopped:
+        elif wanted is interface.Wanted.DISABLED or self._is_stopped:
             drive.step_towards(DriveState.SWITCH_ON_DISABLED)
         elif is_in_operation:
             self._command(modes[joint], output[joint])
         elif drive.state is DriveState.QUICK_STOP_ACTIVE:
-            if wanted is words.Wanted.ENABLING:
+            if wanted is interface.Wanted.ENABLING:
                 drive.resume()
             else:
                 drive.quick_stop()
         else:
-            is_wanted = wanted is words.Wanted.ENABLING
+            is_wanted = wanted is interface.Wanted.ENABLING
             drive.step_towards(DriveState.OPERATION_ENABLED if is_wanted else DriveState.SWITCH_ON_DISABLED)
 
     def _command(self, mode: OutputMode, output: float) -> None:

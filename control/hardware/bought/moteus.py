@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
-from control.hardware import words
+from control.hardware import interface
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, SetPointSpeed, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import Opened, collect
@@ -20,11 +20,11 @@ from firmware_iface.moteus import Moteus, MoteusBus, MoteusMode
 
 # Fault codes of the register reference, as the loop's faults; the rest concerns its encoder, its settings or itself.
 _CODES_OF: Final = {
-    words.OVER_CURRENT: (33, 44),
-    words.SUPPLY_HIGH: (34,),
-    words.OVER_TEMPERATURE: (38,),
-    words.BAD_COMMAND: (39,),
-    words.SUPPLY_LOW: (40,),
+    interface.OVER_CURRENT: (33, 44),
+    interface.SUPPLY_HIGH: (34,),
+    interface.OVER_TEMPERATURE: (38,),
+    interface.BAD_COMMAND: (39,),
+    interface.SUPPLY_LOW: (40,),
 }
 _FAULT_OF: Final = {code: fault for fault, codes in _CODES_OF.items() for code in codes}
 
@@ -100,8 +100,8 @@ class MoteusDrive(PositionLoopDrive):
     def _faults_now(self) -> int:
         board = self._board
         if board.mode == MoteusMode.FAULT:
-            return _FAULT_OF.get(board.fault, words.OWN_ENCODER)
-        return words.WATCHDOG if board.mode == MoteusMode.TIMEOUT else 0
+            return _FAULT_OF.get(board.fault, interface.OWN_ENCODER)
+        return interface.WATCHDOG if board.mode == MoteusMode.TIMEOUT else 0
 
     def _is_driving(self) -> bool:
         return self._board.is_driving or self._is_in_operation()
@@ -116,7 +116,7 @@ class MoteusDrive(PositionLoopDrive):
 
     def write(
         self,
-        wanted: words.Wanted,
+        wanted: interface.Wanted,
         modes: Sequence[OutputMode],
         output: Sequence[float],
         feedforward_V: Sequence[float],
@@ -124,8 +124,8 @@ class MoteusDrive(PositionLoopDrive):
     ) -> None:
         """Set the command of this cycle; a hold that its time-out began ends by a stop alone."""
         super().write(wanted, modes, output, feedforward_V, feedback)
-        self._was_found_driving = wanted is words.Wanted.AS_FOUND and self._board.is_driving
-        if wanted is words.Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
+        self._was_found_driving = wanted is interface.Wanted.AS_FOUND and self._board.is_driving
+        if wanted is interface.Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
             self._board.wanted = moteus.stop(self._board.number)
 
     def _look(self) -> None:
@@ -158,7 +158,7 @@ class MoteusDrive(PositionLoopDrive):
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
-        self._faults |= words.EMERGENCY_STOP
+        self._faults |= interface.EMERGENCY_STOP
         self._board.stop_now()
 
 

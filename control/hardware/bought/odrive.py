@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from control.hardware import words
+from control.hardware import interface
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, SetPointSpeed, open_bus, own_encoder
 from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
@@ -20,12 +20,12 @@ _OVER_CURRENT: Final = (
     Error.DC_BUS_OVER_CURRENT | Error.DC_BUS_OVER_REGEN_CURRENT | Error.CURRENT_LIMIT_VIOLATION | Error.DRV_FAULT
 )
 _FAULT_OF: Final = (
-    (Error.DC_BUS_OVER_VOLTAGE | Error.BRAKE_RESISTOR_DISARMED, words.SUPPLY_HIGH),
-    (Error.DC_BUS_UNDER_VOLTAGE, words.SUPPLY_LOW),
-    (_OVER_CURRENT, words.OVER_CURRENT),
-    (Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED, words.OVER_TEMPERATURE),
-    (Error.WATCHDOG_TIMER_EXPIRED, words.WATCHDOG),
-    (Error.ESTOP_REQUESTED, words.EMERGENCY_STOP),
+    (Error.DC_BUS_OVER_VOLTAGE | Error.BRAKE_RESISTOR_DISARMED, interface.SUPPLY_HIGH),
+    (Error.DC_BUS_UNDER_VOLTAGE, interface.SUPPLY_LOW),
+    (_OVER_CURRENT, interface.OVER_CURRENT),
+    (Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED, interface.OVER_TEMPERATURE),
+    (Error.WATCHDOG_TIMER_EXPIRED, interface.WATCHDOG),
+    (Error.ESTOP_REQUESTED, interface.EMERGENCY_STOP),
 )
 SPEED_MARGIN: Final = 2.0  # of the board's speed limit over the joint's: the loop's own limits come first
 
@@ -44,7 +44,7 @@ class OdriveDrive(PositionLoopDrive):
     def _faults_now(self) -> int:
         errors = self._axis.errors or Error(0)
         known = [bit for mask, bit in _FAULT_OF if errors & mask]
-        return sum(known) if known else words.OWN_ENCODER if errors else 0
+        return sum(known) if known else interface.OWN_ENCODER if errors else 0
 
     def _is_driving(self) -> bool:
         return self._axis.is_driving
@@ -90,7 +90,7 @@ class OdriveDrive(PositionLoopDrive):
 
     def emergency_stop(self) -> None:
         """Hold the position now, and until the fault is acknowledged: without power a loaded arm would drop."""
-        self._faults |= words.EMERGENCY_STOP
+        self._faults |= interface.EMERGENCY_STOP
         self._is_stopped = True
         if self._axis.is_driving:
             self._hold()

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from control.hardware import words
+from control.hardware import interface
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, on_line, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import AskedEncoders, Opened, collect
@@ -21,19 +21,19 @@ from firmware_iface.roboclaw import CHANNELS, PacketLine, RoboClaw, RoboclawStat
 
 # What an error of the board is to the loop: of both motors, and by channel.
 _SHARED = (
-    (RoboclawStatus.E_STOP, words.EMERGENCY_STOP),
-    (RoboclawStatus.TEMPERATURE | RoboclawStatus.TEMPERATURE_2, words.OVER_TEMPERATURE),
-    (RoboclawStatus.MAIN_VOLTAGE_HIGH | RoboclawStatus.LOGIC_VOLTAGE_HIGH, words.SUPPLY_HIGH),
-    (RoboclawStatus.MAIN_VOLTAGE_LOW | RoboclawStatus.LOGIC_VOLTAGE_LOW, words.SUPPLY_LOW),
+    (RoboclawStatus.E_STOP, interface.EMERGENCY_STOP),
+    (RoboclawStatus.TEMPERATURE | RoboclawStatus.TEMPERATURE_2, interface.OVER_TEMPERATURE),
+    (RoboclawStatus.MAIN_VOLTAGE_HIGH | RoboclawStatus.LOGIC_VOLTAGE_HIGH, interface.SUPPLY_HIGH),
+    (RoboclawStatus.MAIN_VOLTAGE_LOW | RoboclawStatus.LOGIC_VOLTAGE_LOW, interface.SUPPLY_LOW),
 )
 _OWN = (
     (
-        (RoboclawStatus.DRIVER_1 | RoboclawStatus.CURRENT_1, words.OVER_CURRENT),
-        (RoboclawStatus.SPEED_1 | RoboclawStatus.POSITION_1, words.OWN_ENCODER),
+        (RoboclawStatus.DRIVER_1 | RoboclawStatus.CURRENT_1, interface.OVER_CURRENT),
+        (RoboclawStatus.SPEED_1 | RoboclawStatus.POSITION_1, interface.OWN_ENCODER),
     ),
     (
-        (RoboclawStatus.DRIVER_2 | RoboclawStatus.CURRENT_2, words.OVER_CURRENT),
-        (RoboclawStatus.SPEED_2 | RoboclawStatus.POSITION_2, words.OWN_ENCODER),
+        (RoboclawStatus.DRIVER_2 | RoboclawStatus.CURRENT_2, interface.OVER_CURRENT),
+        (RoboclawStatus.SPEED_2 | RoboclawStatus.POSITION_2, interface.OWN_ENCODER),
     ),
 )
 _LIMITS_CURRENT = (RoboclawStatus.OVER_CURRENT_WARNING_1, RoboclawStatus.OVER_CURRENT_WARNING_2)
@@ -60,7 +60,7 @@ class RoboClawEncoders(AskedEncoders):
         self.joints = tuple(drives)
         self._board = board
         self._channels = {joint: drive.board_channel - 1 for joint, drive in drives.items()}
-        flags = {0.0: words.HOME_SWITCH, -1.0: words.LOWER_LIMIT, 1.0: words.UPPER_LIMIT}
+        flags = {0.0: interface.HOME_SWITCH, -1.0: interface.LOWER_LIMIT, 1.0: interface.UPPER_LIMIT}
         self._switch_flags = {joint: flags[_limit_side(drive)] for joint, drive in drives.items()}
         self._are_zeros_set = dict.fromkeys(drives, False)
         self._latched: dict[int, int] = {}
@@ -78,7 +78,7 @@ class RoboClawEncoders(AskedEncoders):
             feedback.count[joint] = board.counts[channel]
             feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
             feedback.count_late_s[joint] = board.count_late_s
-            flags = words.ZERO_SET if self._are_zeros_set[joint] else 0
+            flags = interface.ZERO_SET if self._are_zeros_set[joint] else 0
             feedback.channel_flags[joint] = flags | (self._switch_flags[joint] if status & _SWITCH[channel] else 0)
 
     def fresh_count(self, joint: int) -> int:
@@ -138,14 +138,14 @@ class RoboClawDrives:
 
     def _statusword(self, channel: int, status: RoboclawStatus) -> int:
         if self._faults[channel]:
-            return words.FAULT
+            return interface.FAULT
         is_obeyed = math.isfinite(self._board.obeyed_at_s)
-        state = words.OPERATION_ENABLED if self._is_enabled and is_obeyed else words.SWITCH_ON_DISABLED
-        return state | (words.WARNING if status & _LIMITS_CURRENT[channel] else 0)
+        state = interface.OPERATION_ENABLED if self._is_enabled and is_obeyed else interface.SWITCH_ON_DISABLED
+        return state | (interface.WARNING if status & _LIMITS_CURRENT[channel] else 0)
 
     def write(
         self,
-        wanted: words.Wanted,
+        wanted: interface.Wanted,
         modes: Sequence[OutputMode],
         output: Sequence[float],
         feedforward_V: Sequence[float],
@@ -155,7 +155,7 @@ class RoboClawDrives:
         board = self._board
         is_well = board.supply_V is not None and self._configured_resets == board.resets
         self._is_enabled = wanted.is_on and is_well and not any(self._faults)
-        board.is_commanded = wanted is not words.Wanted.AS_FOUND
+        board.is_commanded = wanted is not interface.Wanted.AS_FOUND
         for joint, channel, sign in self._drives:
             is_driven = self._is_enabled and modes[joint] is OutputMode.VOLTAGE
             volts = output[joint] if is_driven else 0.0
@@ -193,7 +193,7 @@ class RoboClawDrives:
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
-        self._faults = [faults | words.EMERGENCY_STOP for faults in self._faults]
+        self._faults = [faults | interface.EMERGENCY_STOP for faults in self._faults]
         self._board.duty[:] = [0] * CHANNELS
         self._shout(self._board.stop_packet())
 

@@ -12,9 +12,7 @@ from enum import Enum
 from typing import Final, Generic, TypeVar
 
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, on_line, open_lines, require_fit
-from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import AskedEncoders, Opened, collect
-from control.hardware.words import (
+from control.hardware.interface import (
     EMERGENCY_STOP,
     FAULT,
     OPERATION_ENABLED,
@@ -25,11 +23,14 @@ from control.hardware.words import (
     SWITCH_ON_DISABLED,
     WATCHDOG,
     ZERO_SET,
+    Feedback,
+    OutputMode,
     Wanted,
     as_counter,
 )
+from control.hardware.roles import AskedEncoders, Opened, collect
 from control.model.arm import Board, Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.dynamixel import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardFaulted, WrongIdentity

@@ -8,12 +8,12 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from control.hardware import words
+from control.hardware import interface
 from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from firmware_iface import vesc
 from firmware_iface.can_link import open_extended_can
 from firmware_iface.errors import MisuseError, WrongIdentity
@@ -21,11 +21,11 @@ from firmware_iface.vesc import Vesc, VescBus
 
 # mc_fault_code of the firmware's datatypes.h, as the loop's faults; the rest concerns encoder and sensors.
 _CODES_OF: Final = {
-    words.SUPPLY_HIGH: (1, 7),
-    words.SUPPLY_LOW: (2, 8, 9),
-    words.OVER_CURRENT: (3, 4),
-    words.OVER_TEMPERATURE: (5, 6),
-    words.WATCHDOG: (10,),
+    interface.SUPPLY_HIGH: (1, 7),
+    interface.SUPPLY_LOW: (2, 8, 9),
+    interface.OVER_CURRENT: (3, 4),
+    interface.OVER_TEMPERATURE: (5, 6),
+    interface.WATCHDOG: (10,),
 }
 _FAULT_OF: Final = {code: fault for fault, codes in _CODES_OF.items() for code in codes}
 SILENT_APPLICATIONS: Final = (0, 3)  # none, UART; the others turn an input into commands
@@ -44,11 +44,11 @@ class VescDrive(NodeDrive):
 
     def _faults_now(self) -> int:
         code = self._board.fault
-        return _FAULT_OF.get(code, words.OWN_ENCODER) if code else 0
+        return _FAULT_OF.get(code, interface.OWN_ENCODER) if code else 0
 
     def write(
         self,
-        wanted: words.Wanted,
+        wanted: interface.Wanted,
         modes: Sequence[OutputMode],
         output: Sequence[float],
         feedforward_V: Sequence[float],
@@ -57,7 +57,7 @@ class VescDrive(NodeDrive):
         """Set the command of this cycle; without one the windings are shorted."""
         board, joint = self._board, self._joint
         self._is_enabled = self._may_drive(wanted)
-        if wanted is words.Wanted.AS_FOUND:
+        if wanted is interface.Wanted.AS_FOUND:
             board.wanted = None
             return
         mode = modes[joint] if self._is_enabled else OutputMode.HOLD
@@ -88,7 +88,7 @@ class VescDrive(NodeDrive):
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
-        self._faults |= words.EMERGENCY_STOP
+        self._faults |= interface.EMERGENCY_STOP
         shorted = self._board.wanted = vesc.duty(self._board.number, 0.0)
         self._bus.send(shorted)
 

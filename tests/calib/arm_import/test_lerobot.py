@@ -15,7 +15,7 @@ from calib.errors import ImportedModelError
 from console.main import main
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from tests.cell import with_drive
 
 SO101 = load_arm("so101")

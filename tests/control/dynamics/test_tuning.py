@@ -11,7 +11,7 @@ from control.dynamics.gains import Gains
 from control.dynamics.tuning import Margins, MarginsUnmet, MotorFit, Response, Tuner, controller, fit_motor, margins, pole_gains
 from control.errors import ArmError
 from control.hardware.measurement import Measurement
-from control.servo.pid import Pid
+from control.servo import Pid
 
 OMEGA = 2.0 * np.pi * np.geomspace(2.0, 80.0, 24)
 MOTOR = MotorFit(40.0, 120.0, 0.003, 0.0)

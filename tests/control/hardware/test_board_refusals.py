@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from control.model.joint_map import JointMap
+from control.model.drive import JointMap
 from control.safety.table import Mode
 from firmware_iface import vesc
 from firmware_iface.canopen import MAKERS

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.hardware.averaging import Averaging
-from control.hardware.measurement import DIRECTION_STEP_rad, Measurement, RunningMean
+from control.hardware.measurement import Averaging, DIRECTION_STEP_rad, Measurement, RunningMean
 
 SCALE_rad = 1e-4  # of a count
 PERIOD_S = 0.002

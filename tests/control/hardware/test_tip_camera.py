@@ -14,7 +14,7 @@ import pytest
 
 from console.commands.status import described
 from control.errors import ArmError
-from control.hardware.averaging import MeanPose
+from control.hardware.measurement import MeanPose
 from control.hardware.tip_camera import BodyCamera, open_camera
 from control.kinematics.rotation import matrices, quaternion_of
 from control.model.camera import Camera, CameraStream

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from control.hardware.interface import Feedback
-from control.hardware.words import Wanted
+from control.hardware.interface import Feedback, Wanted
 from control.loop.drives import Bound, DriveStates, drives_wanted
-from control.safety.fault import Reaction
+from control.safety.monitor import Reaction
 from control.safety.table import Mode
 
 ENABLED, SWITCHED_ON, LIMITING, OFF = 0x27, 0x23, 0xA7, 0x40  # of docs/motor_board.md; bit 7 is a warning

@@ -8,9 +8,9 @@ from unittest.mock import Mock
 
 import pytest
 
-from control.end_effector.gripper import GripperControl
+from control.end_effector import GripperControl
 from control.errors import ArmError
-from control.hardware.gripper_board import GripperFeedback
+from control.hardware.interface import GripperFeedback
 from control.model.end_effector import Gripper
 from control.recording.record import about_columns, layout_of
 from control.safety.table import Mode

@@ -9,9 +9,9 @@ from itertools import product
 
 import pytest
 
-from control.hardware.shared_bus import CellConnection, SharedBuses
-from control.hardware.words import Wanted
-from control.safety.fault import Fault, Reaction
+from control.hardware.connect import CellConnection, SharedBuses
+from control.hardware.interface import Wanted
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import pytest
 
-from control.hardware.interface import Feedback
-from control.hardware.words import HOME_SWITCH
+from control.hardware.interface import HOME_SWITCH, Feedback
 from control.loop.homing_sequence import HomingFailed, HomingSequence, JointHome, Phase
 from control.model.arm import Home
 from control.motion.setpoint import SetPoint, at_rest

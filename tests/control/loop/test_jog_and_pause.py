@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from control.motion.plan import plan_path
-from control.safety.fault import Fault, Reaction
+from control.safety.monitor import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import PERIOD_S, RIGHT, STRETCHED, Cell, handled, holding_cell, scenario, with_drive
 

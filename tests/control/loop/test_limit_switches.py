@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from control.hardware.words import ZERO_SET
+from control.hardware.interface import ZERO_SET
 from control.loop.cross_checks import LimitSwitch, MetSwitch
 from control.model.arm import Arm, Home, LimitSwitches
 from control.model.arm_checks import check_arm

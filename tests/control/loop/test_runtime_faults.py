@@ -319,7 +319,7 @@ def test_a_fault_is_acknowledged_once_its_cause_is_gone_and_not_before(moving: C
 
 
 def test_a_held_fault_is_acknowledged_only_after_its_stop(moving: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    from control.safety.fault import Fault, Reaction
+    from control.safety.monitor import Fault, Reaction
 
     moving.runtime.fail(Fault("test", "here", "a test", "nothing", Reaction.CONTROLLED))
     assert "not ended" in moving.refusal(do="acknowledge")

@@ -24,8 +24,8 @@ from control.loop.watch import (
     WatchLimits,
 )
 from control.motion.setpoint import SetPoint
-from control.safety.fault import Fault, Reaction
 from control.safety.limits import NotFinite
+from control.safety.monitor import Fault, Reaction
 
 # Powers of two, so that values at a limit are at the limit and not a rounding beside it.
 LIMIT = MeasuredLimits(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from control.errors import BadTarget
 from control.model.arm import Drive
 from control.model.description import load_arm
-from control.model.joint_map import JointMap, Unwrapper
+from control.model.drive import JointMap, Unwrapper
 
 DRIVE = Drive(1, 100.0, 2048, 0.03, 0.3, 24.0)
 

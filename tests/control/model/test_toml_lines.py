@@ -8,7 +8,7 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.model.toml_lines import Path, key_lines, nearest_line
+from control.model.reader import Path, key_lines, nearest_line
 
 DOCUMENT = '''# comment with [brackets] and = signs
 name = "a # no comment"

@@ -26,7 +26,7 @@ from control.recording.frames import (
 )
 from control.recording.reading import RecordError, Recording, RowReader
 from control.recording.record import MAGIC_OF_FRAMES, Layout
-from control.recording.rotation import PartFile, Policy, RecordingParts, begin
+from control.recording.writer import PartFile, Policy, RecordingParts, begin
 from tests.recordings import PERIOD_s, row_of
 
 LAYOUT = Layout.of(3)

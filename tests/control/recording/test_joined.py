@@ -16,7 +16,7 @@ from console.visualisation.reading import read_log
 from control.model.description import load_arm
 from control.recording.cell_folder import join, new_folder, recordings_in
 from control.recording.reading import RecordError, Recording
-from control.recording.rotation import Policy, remove_oldest
+from control.recording.writer import Policy, remove_oldest
 from tests.recordings import BOOTED_s, PERIOD_s, write_recording
 
 AT_REST = {"orientation": (1.0, 0.0, 0.0, 0.0)}

@@ -23,7 +23,7 @@ from control.files import NotWritten
 from control.recording.reading import RecordError, Recording
 from control.recording.record import MAGIC, FileSink, Layout, NoSink, PipeSink, Recorder
 from control.recording.recorder_state import RecorderState
-from control.recording.rotation import begin
+from control.recording.writer import begin
 
 LAYOUT = Layout.of(2)
 

@@ -13,7 +13,7 @@ import pytest
 from control.recording.reading import Recording
 from control.recording.record import Layout
 from control.recording.recorder_state import RecorderState, next_part, parts_from
-from control.recording.rotation import PartFile, Policy, RecordingParts, RETRY_s, begin, remove_oldest
+from control.recording.writer import PartFile, Policy, RecordingParts, RETRY_s, begin, remove_oldest
 
 LAYOUT = Layout.of(2)
 ROW = LAYOUT.packing.size

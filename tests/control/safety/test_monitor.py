@@ -5,8 +5,7 @@ import re
 
 import pytest
 
-from control.safety.fault import LOSES_ZERO, Fault, Reaction
-from control.safety.monitor import IllegalTransition, Monitor
+from control.safety.monitor import LOSES_ZERO, Fault, IllegalTransition, Monitor, Reaction
 from control.safety.table import TRANSITIONS, Event, Mode, legal_events, next_towards_off, table_text
 from tests.places import ROOT
 

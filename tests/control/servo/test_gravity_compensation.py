@@ -7,7 +7,7 @@ import math
 import pytest
 
 from control.safety.table import Mode
-from control.servo.servo import FASTEST_rad_s
+from control.servo import FASTEST_rad_s
 from tests.cell import FRICTION, RIGHT, Cell, holding_cell, scenario, with_drives
 
 POSES = [(0.1, -0.6, 0.2), (0.0, 0.5, 1.0), (-1.0, -1.4, -0.5)]

@@ -7,7 +7,7 @@ import pytest
 
 from control.dynamics.gains import Gains
 from control.errors import ArmError
-from control.servo.pid import NonFiniteInput, Pid
+from control.servo import NonFiniteInput, Pid
 
 PERIOD_S = 0.002
 

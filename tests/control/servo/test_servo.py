@@ -13,8 +13,7 @@ from control.dynamics.loads import Loads
 from control.hardware.interface import OutputMode
 from control.model.description import load_arm
 from control.motion.setpoint import SetPoint, at_rest
-from control.servo.pid import Pid
-from control.servo.servo import MotionTorque, Servo
+from control.servo import MotionTorque, Pid, Servo
 
 MOTOR = Motor(amperes_per_Nm=1 / 3.0, resistance_ohm=0.3, volts_per_rad_s=3.0, supply_V=24.0, current_limit_A=8.0)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from control.dynamics.dynamics import Dynamics
-from control.hardware.averaging import Average, MeanPose
+from control.hardware.measurement import Average, MeanPose
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 

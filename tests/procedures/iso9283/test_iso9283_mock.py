@@ -19,7 +19,7 @@ from calib.iso9283.criteria import pose
 from calib.iso9283.programme import Extent, PathRun, TestCube
 from calib.points.reading import read_points
 from console.main import main
-from control.hardware.averaging import Average
+from control.hardware.measurement import Average
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm

@@ -1,23 +1,27 @@
-"""The gripper: opens, closes, goes to an opening, and holds what it has with a force.
+"""What an arm has at its end: the gripper, and digital outputs with the levels of all named pins.
 
-Voltage of its motor: u = K v + R i, with K = 2 pi k_t / travel per turn, which is also the force per current. On its way a speed
-controller adds R i to K v_set, within the voltages that keep the current at that of the wanted force. Where the fingers are
-stopped says what it has come to: its end, or something, which it then holds with R i alone.
+The gripper opens, closes, goes to an opening, and holds what it has with a force. Voltage of its motor: u = K v + R i, with
+K = 2 pi k_t / travel per turn, which is also the force per current. On its way a speed controller adds R i to K v_set, within the
+voltages that keep the current at that of the wanted force. Where the fingers are stopped says what it has come to: its end, or
+something, which it then holds with R i alone. Nothing here moves without a request: enabled, after a stop, a time-out or a
+fault, it holds where it is.
 
-Nothing here moves without a request: enabled, after a stop, a time-out or a fault, it holds where it is.
+An output is set by a request and stays. When the arm goes to FAULT or its drives go off, each goes to its safe level, and stays
+there until it is set anew: nothing comes on again by itself. The boards do the same without the host.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol
 
 from control.errors import ArmError
-from control.hardware.gripper_board import GripperFeedback, GripperHardware
-from control.model.can_bus import GRIPPER_PERIOD_s
-from control.model.end_effector import Gripper
-from control.safety.fault import Fault, Reaction
+from control.hardware.interface import GripperFeedback, GripperHardware, NamedPins
+from control.model.board_kinds import GRIPPER_PERIOD_s, PIN_PERIOD_s
+from control.model.end_effector import Digital, Gripper
 from control.safety.limits import voltage_range
+from control.safety.monitor import Fault, Reaction
 from firmware_iface.errors import BoardReset
 
 
@@ -418,3 +422,45 @@ class PlacedGripper(GripperControl):
             aim_m = moved_m + left_m
         self._aim_m = aim_m
         return aim_m
+
+
+class Outputs:
+    """The pins of one arm. `cycle` is called in each control cycle."""
+
+    def __init__(self, described: Sequence[Digital], pins: NamedPins) -> None:
+        self.described = tuple(described)
+        self.levels: dict[str, bool | None] = {pin.name: None for pin in described}
+        self._by_name = {pin.name: pin for pin in described}
+        self._pins = pins
+        self._wanted: dict[str, bool] = {}
+        self._next_s = -math.inf
+        self._was_safe = True
+
+    def set(self, name: str, level: bool) -> None:
+        """Set an output. ArmError if there is none of this name, or while outputs have their safe levels."""
+        pin = self._by_name.get(name)
+        outputs = ", ".join(p.name for p in self.described if p.direction == "output") or "none"
+        if pin is None:
+            raise ArmError(f"digital: no pin {name!r}: expected one of the outputs {outputs}")
+        if pin.direction != "output":
+            raise ArmError(f"digital: {name} is an input: expected one of the outputs {outputs}")
+        if self._was_safe:
+            raise ArmError(
+                f"digital: {name} has its safe level ({pin.safe}) while the drives are off or the arm is in FAULT: enable first"
+            )
+        self._wanted[name] = level
+        self._next_s = -math.inf
+
+    def cycle(self, now_s: float, is_safe: bool) -> None:
+        """One control cycle; `is_safe`: the arm is in FAULT, or its drives are not enabled."""
+        if is_safe and not self._was_safe:
+            self._wanted = {
+                name: level if self._by_name[name].safe == "keep" else self._by_name[name].safe == "high"
+                for name, level in self._wanted.items()
+            }
+            self._next_s = -math.inf
+        self._was_safe = is_safe
+        self.levels = self._pins.levels(now_s)
+        if now_s >= self._next_s:
+            self._next_s = now_s + PIN_PERIOD_s - 1e-6
+            self._pins.command(self._wanted)

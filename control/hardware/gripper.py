@@ -1,14 +1,29 @@
-"""The gripper's motor board, for the loop: its current and opening, and the voltage that it gets. `sign`: opening is positive."""
+"""The gripper's motor, for the loop: on a reference motor board, or on a bought board, as one more motor to the board's driver.
+
+`GripperBoard` sends volts and takes the board's own count; `sign`: opening is positive. To a bought board's driver the motor is
+the joint behind the arm's last one, with a `Feedback` of its own; its angle is that of the motor (`Arm.motors`).
+"""
 
 import contextlib
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 from control.hardware.board_stop import BoardStop
-from control.hardware.words import Wanted
+from control.hardware.interface import (
+    OPERATION_ENABLED,
+    STATE_MASK,
+    ZERO_SET,
+    Feedback,
+    GripperFeedback,
+    OutputMode,
+    TorqueWithTheArm,
+    Wanted,
+)
+from control.hardware.roles import Drives, Encoders, Opened, collect
+from control.model.arm import Drive
+from control.model.drive import JointMap
 from control.model.end_effector import Gripper
-from firmware_iface.errors import BoardFaulted, LinkError
+from firmware_iface.errors import BoardFaulted, BoardReset, LinkError
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorFault, MotorParameter
@@ -16,79 +31,9 @@ from firmware_iface.motor.wire import IdleOutput, MotorFault, MotorParameter
 FULL_FORCE_AT_m = 1e-3  # of the board's own hold: it pushes with the whole current at this distance from where it was
 
 
-@dataclass(slots=True)
-class GripperFeedback:
-    """The board's latest values. `moved_m`: by the motor since power-up, opening positive; NaN without an encoder."""
-
-    current_A: float = 0.0
-    moved_m: float = math.nan
-    moved_at_s: float = -math.inf
-    reply_at_s: float = -math.inf
-    is_enabled: bool = False
-    faults: str = ""  # of its board, in words
-    problem: LinkError | None = None  # it restarted, or sent nonsense; once
-
-
 def in_words(faults: MotorFault) -> str:
     """The faults of a board by name; empty without any."""
     return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults)
-
-
-class TorqueWithTheArm:
-    """What is wanted of the gripper's drive: as of the arm's; and ENABLING when its fault was acknowledged."""
-
-    def __init__(self) -> None:
-        self._wanted = Wanted.AS_FOUND
-        self._is_coming = False
-
-    @property
-    def wanted(self) -> Wanted:
-        """Of the arm's drives, with ENABLING until this one is there."""
-        return Wanted.ENABLING if self._is_coming and self._wanted.is_on else self._wanted
-
-    @wanted.setter
-    def wanted(self, of_arm: Wanted) -> None:
-        self._is_coming |= of_arm.is_on and not self._wanted.is_on
-        self._wanted = of_arm if of_arm is not Wanted.ENABLING else Wanted.ENABLED
-
-    def take_back(self) -> None:
-        """Its fault was acknowledged."""
-        self._is_coming = True
-
-    def note(self, is_enabled: bool) -> None:
-        """Whether it is in operation: from then on it is not taken back."""
-        self._is_coming &= not is_enabled
-
-
-class GripperHardware(Protocol):
-    """The gripper's motor, on a board of any kind."""
-
-    feedback: GripperFeedback
-    torque: TorqueWithTheArm
-
-    def read(self, now_s: float) -> GripperFeedback:
-        """The values by now; the links have been drained before."""
-        ...
-
-    def write(self, volts: float | None, now_s: float) -> None:
-        """Take the drive a step towards what is wanted, or command a voltage, opening positive, or an open circuit (None)."""
-        ...
-
-    def has_torque(self) -> bool:
-        """Whether the board drives its motor, or holds it by itself."""
-        ...
-
-    def prepare(self) -> None:
-        """Upload what the board does not have. Waits."""
-        ...
-
-    def reset_fault(self) -> None:
-        """Acknowledge the board's fault, if it has one."""
-        ...
-
-    def emergency_stop(self) -> None:
-        """Stop now, where the joints' stop does not reach it."""
-        ...
 
 
 class CountedTravel:
@@ -219,3 +164,127 @@ class GripperBoard:
             (MotorParameter.INTEGRAL_LIMIT_mV, round(gripper.resistance_ohm * gripper.current_limit_A * 1e3)),
             (MotorParameter.SPEED_FEEDFORWARD_nV_s_count, round(gripper.constant_N_A * per_count * 1e9)),
         ]
+
+
+class GripperOnBoard:
+    """Meets `control.hardware.interface.GripperHardware` with a driver of one motor."""
+
+    def __init__(self, gripper: Gripper, joint: int, drive: Drives, encoder: Encoders | None) -> None:
+        """`joint`: its number to the drivers (0-based); `encoder`: None, or one that nothing turns with, where it has none."""
+        self.feedback = GripperFeedback()
+        self._joint, self._drive = joint, drive
+        self._encoder = encoder if gripper.encoder_counts_per_rev else None
+        self._travel = CountedTravel(gripper)
+        self._seen = Feedback(joint + 1)
+        self.torque = TorqueWithTheArm()
+        self._was_known = False  # the count goes on from where it was
+
+    def read(self, now_s: float) -> GripperFeedback:
+        """The values by now; the line has been drained before."""
+        feedback, seen, joint = self.feedback, self._seen, self._joint
+        self._drive.take(seen)
+        feedback.problem = None
+        feedback.current_A, feedback.reply_at_s = seen.current_A[joint], seen.reply_at_s[joint]
+        feedback.is_enabled = seen.statusword[joint] & STATE_MASK == OPERATION_ENABLED
+        self.torque.note(feedback.is_enabled)
+        feedback.faults = in_words(MotorFault(seen.drive_faults[joint]))
+        if self._encoder is not None:
+            self._take_count(self._encoder)
+        return feedback
+
+    def _take_count(self, encoder: Encoders) -> None:
+        feedback, seen, joint = self.feedback, self._seen, self._joint
+        encoder.take(seen)
+        is_known = bool(seen.channel_flags[joint] & ZERO_SET)
+        if self._was_known and not is_known:
+            self._was_known = False
+            self._travel.forget()
+            feedback.problem = BoardReset("gripper: its board restarted and counts anew")
+        elif seen.reported_at_s[joint] != feedback.moved_at_s and math.isfinite(seen.reported_at_s[joint]):
+            feedback.moved_m = self._travel.at(seen.count[joint])
+            feedback.moved_at_s = seen.reported_at_s[joint]
+
+    def write(self, volts: float | None, now_s: float) -> None:
+        """Command a voltage, opening positive, or an open circuit (None): shorted windings on a board that cannot open it."""
+        self._send(OutputMode.OFF if volts is None else OutputMode.VOLTAGE, volts or 0.0)
+
+    def _send(self, mode: OutputMode, value: float) -> None:
+        modes, output = [OutputMode.OFF] * self._joint, [0.0] * self._joint
+        modes.append(mode)
+        output.append(value)
+        self._drive.write(self.torque.wanted, modes, output, output, self._seen)
+
+    def has_torque(self) -> bool:
+        """Whether the board drives its motor, or holds it by itself."""
+        return self._drive.has_torque(self._joint)
+
+    def prepare(self) -> None:
+        """Upload what a restart has lost. Waits for answers."""
+        self._drive.configure(self._fresh_count)
+        if self._encoder is not None and not self._was_known:
+            self._encoder.shift(self._joint, 0)  # the drivers tell by the zero whether a count goes on
+            self._travel.forget()
+            self._was_known = True
+
+    def reset_fault(self) -> None:
+        """Acknowledge the board's fault; it stays where its cause persists."""
+        self.torque.take_back()
+        with contextlib.suppress(BoardFaulted):
+            self._drive.acknowledge_faults()
+
+    def emergency_stop(self) -> None:
+        """Stop now; acknowledged with the joints' drives."""
+        self._drive.emergency_stop()
+
+    def _fresh_count(self, joint: int) -> int:
+        return 0 if self._encoder is None else self._encoder.fresh_count(joint)
+
+
+class ForceLimited(Drives, Protocol):
+    """A driver of motors whose boards close the position loop and keep a force limit."""
+
+    def require_force_limit(self) -> None:
+        """Raise WrongIdentity if the board is set up to keep none."""
+        ...
+
+    def limit_force(self, current_A: float) -> None:
+        """At most so much current from now on; does not wait."""
+        ...
+
+
+class PlacedOnBoard(GripperOnBoard):
+    """Meets `control.end_effector.PlacedHardware`."""
+
+    def __init__(self, gripper: Gripper, motor: Drive, drive: ForceLimited, encoder: Encoders) -> None:
+        """`motor`: as of `Arm.motors`."""
+        super().__init__(gripper, motor.joint - 1, drive, encoder)
+        self._force, self._map = drive, JointMap(motor)
+
+    def place(self, moved_m: float | None, force_A: float, now_s: float) -> None:
+        """Go to where the fingers have moved by so much, with at most this current; None: let go."""
+        self._force.limit_force(force_A)
+        count = None if moved_m is None else self._travel.count_at(moved_m)
+        if count is None:
+            self._send(OutputMode.OFF, 0.0)
+        else:
+            self._send(OutputMode.POSITION, self._map.radians(count))
+
+
+def gripper_of(opened: Opened) -> GripperOnBoard | None:
+    """The arm's gripper, if a bought board drives it: its drive and encoder are taken out of those that were opened."""
+    arm = opened.arm
+    gripper, joint = arm.gripper, arm.joint_count
+    drive = next((one for one in opened.drives if joint in one.joints), None)
+    encoder = next((one for one in opened.encoders if joint in one.joints), None)
+    if gripper is None or drive is None:
+        return None
+    opened.drives.remove(drive)
+    if encoder is not None:
+        opened.encoders.remove(encoder)
+    motor = arm.motors[-1]
+    if not arm.kind_of(motor).limits_force or encoder is None:
+        return GripperOnBoard(gripper, joint, drive, encoder)
+    limited = cast(ForceLimited, drive)
+    with collect(opened.failures):
+        limited.require_force_limit()
+    return PlacedOnBoard(gripper, motor, limited, encoder)

@@ -1,1 +1,0 @@
-"""What is at the end of the arm, under control: the gripper and the digital outputs."""

@@ -1,1 +1,0 @@
-"""Controllers of a joint: PID, feed-forward to volts, gravity compensation."""
