@@ -9,12 +9,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 from control.model.arm import Arm, Drive
 from control.model.end_effector import Gripper
-from hil_mocks.devices.camera import CameraMock, CameraSetup, PictureMock
+from hil_mocks.devices.cameras import CameraMock, CameraSetup, MocapMock, NatNetMock, PictureMock, QtmMock, SceneSetup, ViconMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
-from hil_mocks.devices.mocap import MocapMock, NatNetMock, QtmMock, SceneSetup, ViconMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.errors import RigError, ScenarioError
-from hil_mocks.firmware.boards import encoder_board_class, motor_board_class
+from hil_mocks.firmware import encoder_board_class, motor_board_class
 from hil_mocks.plant.build import PlantOptions
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, deviations, gather
 from hil_mocks.plant.gripper import GripperParts, GripperPlant

@@ -19,12 +19,11 @@ from firmware_iface.link import CanFormat, Closing
 from hil_mocks.assembly import effects_of, plant_options, start_pose
 from hil_mocks.devices.motor_inputs import Frame
 from hil_mocks.errors import RigError, ScenarioError
-from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.plant.build import PlantOptions, Standing, build, to_build
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.parts import ArmParts, parts_of
 from hil_mocks.plant.plant import Plant, step_together
+from hil_mocks.protocol_mock import CAN_INTERFACE, SerialLine, register
 from hil_mocks.rig import ArmPorts, SteppedClock
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import Scenario, load_scenario

@@ -18,9 +18,8 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from firmware_iface.clock import Clock
 from firmware_iface.link import Closing
-from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.plant.hand import Point
+from hil_mocks.protocol_mock import CAN_INTERFACE, SerialLine, register
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario
 from hil_mocks.wires import OnWires, Pty, SerialWire, Wires

@@ -27,7 +27,7 @@ import can
 from firmware_iface.can_link import CanFrameLink, join_can
 from firmware_iface.errors import LinkLost
 from firmware_iface.link import CanFormat, FrameLink
-from hil_mocks.devices.camera import Transport
+from hil_mocks.devices.cameras import Transport
 from hil_mocks.devices.motor_inputs import Frame
 
 _BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h

@@ -2,6 +2,6 @@
 
 import pytest
 
-from hil_mocks.firmware.library import compiler
+from hil_mocks.firmware import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc")

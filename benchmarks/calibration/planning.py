@@ -33,9 +33,9 @@ from control.motion.waypoints import Waypoints
 from control.plain_text import silent
 from control.server.client import ArmClient
 from hil_mocks.scenario import EffectTable, Scenario, load_scenario
-from procedures.gap.recording import record
+from procedures.gap_recording import record
 from procedures.mock import SteppedBench, saved_mock, scenario_bytes
-from procedures.verify.survey import Model, SurveyedPath, track_of
+from procedures.survey import Model, SurveyedPath, track_of
 
 SORTS = ("demo", "play", "worn")
 AREA_m = (0.3, 0.3, 0.2)

@@ -28,7 +28,7 @@ from procedures.doctor.finding import Finding, Level, as_json, as_text, verdict,
 from procedures.doctor.host import look_at_host, look_at_last_recording, look_at_links, look_at_ports
 from procedures.doctor.judging import judge
 from procedures.folders import require_new
-from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, require_loop, tunable, tune
+from procedures.tuning import NotTuned, TuningOptions, TuningResult, require_loop, tunable, tune
 
 FASTEST_rad_s = 1.0
 PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off, with shorted windings,
@@ -190,7 +190,7 @@ def _may_swing(arm: Arm, options: TuningOptions) -> bool:
 def _written(result: TuningResult, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
-    from procedures.tuning.procedure import header, rows, worst_pose, write_report
+    from procedures.tuning import header, rows, worst_pose, write_report
 
     pids = {drive.joint: drive.pid for drive in result.arm.drives}
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)

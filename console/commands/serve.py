@@ -10,7 +10,7 @@ from typing import Any
 from console.commands.connection import socket_path
 from console.commands.progress import answer
 from control.errors import ArmError
-from control.hardware.connect import Connection, connect, with_links
+from control.hardware.connect import Connection, connect, link_options, with_links
 from control.model.arm import Arm
 from control.model.board_kinds import USUAL_LOAD, bus_load, good_rate_Hz, usual_rate_Hz
 from control.model.cell import Cell, cell_of_one, load_cell
@@ -19,7 +19,6 @@ from control.server.channel import default_path
 from control.server.process import ServeOptions, serve
 from control.server.scheduling import punctuality_remedy
 from firmware_iface.clock import MonotonicClock
-from procedures.link_options import link_options
 
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
 LARGEST_LOAD = 0.95  # of a CAN bus that several arms share

@@ -4,13 +4,14 @@ and one error names all that failed. What each kind of board offers is in `contr
 A CAN bus that several arms of a cell share is opened once and drained for all of them, also while the loop waits.
 """
 
+import argparse
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 from control.dynamics.gains import volt_gains_of
-from control.errors import MissingModel
+from control.errors import ArmError, MissingModel
 from control.hardware.board_stop import board_stop, knows_motor
 from control.hardware.boards import BoardHardware
 from control.hardware.bought import cia402, moteus, odrive, roboclaw, vesc
@@ -39,6 +40,19 @@ class LinkOptions:
     can_interface: str | None = None
     can_channel: str | None = None
     can_options: Mapping[str, str | int] = field(default_factory=dict)
+
+
+def link_options(args: argparse.Namespace) -> LinkOptions:
+    """Of the command line."""
+    options = dict(_option(text) for text in args.can_option or ())
+    return LinkOptions(tuple(args.encoder or ()), args.can_interface, args.can_channel, options)
+
+
+def _option(text: str) -> tuple[str, int | str]:
+    key, equals, value = text.partition("=")
+    if not (key and equals and value):
+        raise ArmError(f"--can-option: expected KEY=VALUE, got {text!r}")
+    return key, int(value) if value.lstrip("-").isdigit() else value
 
 
 @dataclass(slots=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from control.errors import ArmError
-from control.hardware.connect import with_links
+from control.hardware.connect import link_options, with_links
 from control.hardware.interface import HOME_SWITCH, NamedPins
 from control.hardware.reference_boards import start_stream
 from control.model.arm import Arm
@@ -30,7 +30,6 @@ from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter
 from firmware_iface.serial_link import open_serial
 from procedures.bringup import workbench
-from procedures.link_options import link_options
 
 if TYPE_CHECKING:
     from hil_mocks.rig import SteppedRig

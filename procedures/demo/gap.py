@@ -36,9 +36,9 @@ from control.plain_text import Advance
 from control.server.client import ArmClient
 from procedures import tour
 from procedures.demo.job import shut_down, start_again
-from procedures.gap.recording import record
+from procedures.gap_recording import record
 from procedures.mock import MockBench
-from procedures.verify.survey import Model, Place, Programme, Survey, compared, paired, recorded, ways
+from procedures.survey import Model, Place, Programme, Survey, compared, paired, recorded, ways
 
 Range = tuple[float, float]
 GEOMETRY = {"d_m": 0.002, "theta_rad": 0.01, "L_m": 0.002, "alpha_rad": 0.01}  # also hidden, within these bounds

@@ -29,7 +29,7 @@ from control.server.client import ArmClient
 from procedures.mock import MockBench
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
 from procedures.session.mock_session import arm_station
-from procedures.verify.survey import SETUPS, Model, Programme, Survey, compared, paired, places, ways
+from procedures.survey import SETUPS, Model, Programme, Survey, compared, paired, places, ways
 
 
 def shut_down(arm: Arm, bench: MockBench, client: ArmClient) -> Path:

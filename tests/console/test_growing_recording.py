@@ -11,8 +11,8 @@ from console.main import main
 from control.errors import ArmError
 from control.recording.record import Layout
 from control.recording.writer import Policy, RecordingParts, begin
+from procedures.survey import recorded, wait_until_recorded
 from procedures.tour import RunRows
-from procedures.verify.survey import recorded, wait_until_recorded
 
 LAYOUT = Layout.of(3)
 

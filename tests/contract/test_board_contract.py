@@ -9,8 +9,8 @@ from control.hardware.interface import OutputMode
 from control.safety.monitor import Reaction
 from control.safety.table import Mode
 from control.server.client import ArmFaulted
-from hil_mocks.firmware.library import compiler
-from hil_mocks.in_process.protocol_mock import SerialLine
+from hil_mocks.firmware import compiler
+from hil_mocks.protocol_mock import SerialLine
 from hil_mocks.scenario import Scenario
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS, OnBoards

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil_mocks.firmware.boards import VARIABLE, EncoderBoardFirmware, choose, encoder_board_class
-from hil_mocks.firmware.library import SOURCES, FirmwareError, build, library
+from hil_mocks.firmware import SOURCES, VARIABLE, EncoderBoardFirmware, FirmwareError, build, choose, encoder_board_class, library
 from hil_mocks.scenario import Scenario
 from tests.firmware import needs_compiler
 

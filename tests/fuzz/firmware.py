@@ -17,7 +17,7 @@ from hil_mocks.devices.encoder_board import EncoderBoardMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup, frame
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
-from hil_mocks.firmware.boards import EncoderBoardFirmware, MotorBoardFirmware
+from hil_mocks.firmware import EncoderBoardFirmware, MotorBoardFirmware
 from tests.fuzz.frames import mutated
 
 NODE = 2

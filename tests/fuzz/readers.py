@@ -36,7 +36,7 @@ from control.motion.waypoints import read_waypoints
 from control.recording.reading import Recording
 from hil_mocks.scenario import load_scenario
 from procedures.bringup.procedure import Journal
-from procedures.gap.recording import RunFile
+from procedures.gap_recording import RunFile
 from procedures.session.operator import BadCommand, parse_command
 
 RIGHT = load_arm("right")

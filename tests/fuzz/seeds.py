@@ -24,7 +24,7 @@ from control.recording.record import Layout
 from control.recording.writer import PartFile, begin
 from firmware_iface.encoder import wire
 from firmware_iface.mocap import qtm
-from hil_mocks.devices.mocap import NatNetMock, QtmMock
+from hil_mocks.devices.cameras import NatNetMock, QtmMock
 from procedures.bringup.procedure import Journal
 from tests.calib.capture.recordings import both, c3d_bytes, vicon_csv
 from tests.firmware_iface.mocap.test_bodies import VICON

@@ -19,7 +19,7 @@ from hil_mocks.devices.encoder_inputs import (
     deframe,
     frame,
 )
-from hil_mocks.firmware.boards import EncoderBoardFirmware
+from hil_mocks.firmware import EncoderBoardFirmware
 from tests.firmware import needs_compiler
 
 SETUP = EncoderBoardSetup(serial_number=0xA1B2C3, counts_per_turn=(2048, 2048, 2048), firmware=0x0203)

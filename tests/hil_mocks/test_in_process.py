@@ -19,8 +19,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.can_link import open_can
 from firmware_iface.errors import LinkLost, PortMissing
 from firmware_iface.serial_link import open_serial
-from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.protocol_mock import SerialLine
+from hil_mocks.protocol_mock import CAN_INTERFACE, SerialLine, register
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import Start, load_scenario
 

@@ -9,7 +9,7 @@ import pytest
 from hil_mocks.devices import motor_board as parameter
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import BRAKE, NEXT, OPEN, MotorBoardSetup, MotorState, Output, Word, word_of
-from hil_mocks.firmware.boards import MotorBoardFirmware
+from hil_mocks.firmware import MotorBoardFirmware
 from tests.firmware import needs_compiler
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80

@@ -83,7 +83,7 @@ def mocked_arm(arm: Arm) -> Arm:
     """What a mock is made of: the file that a calibrated arm came from, or it would be another robot than was calibrated."""
     if arm.calibration is None:
         return arm
-    from procedures.verify.survey import nominal_of
+    from procedures.survey import nominal_of
 
     try:
         return nominal_of(arm, None)

@@ -126,7 +126,7 @@ def _require_recording_options(args: argparse.Namespace) -> None:
 
 def record_on_arm(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
     """Record on the connected arm, which must be homed and holding."""
-    from procedures.gap.recording import record
+    from procedures.gap_recording import record
     from procedures.tour import bench_of
 
     with contextlib.closing(in_control_of(args, arm)) as client:
@@ -148,7 +148,7 @@ def recorded(args: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Pat
         if not args.mock:
             record_on_arm(args, arm, plan, out)
             return
-        from procedures.gap.recording import note, record
+        from procedures.gap_recording import note, record
         from procedures.mock import saved_mock
 
         note(out, plan, arm)

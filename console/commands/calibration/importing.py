@@ -26,8 +26,8 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
 from procedures.folders import require_new
-from procedures.gap.recording import log_text
-from procedures.gap.timing import on_one_clock, with_tips
+from procedures.gap_recording import log_text
+from procedures.gap_timing import on_one_clock, with_tips
 
 SHOWN = 3
 

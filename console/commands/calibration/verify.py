@@ -23,8 +23,8 @@ from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import require_empty
 from procedures.ports import camera_said
-from procedures.verify.procedure import SurveyPair, driven, on_recorded, write
-from procedures.verify.survey import Model, ModelPair, Programme, active_model, nominal_of, places, wait_until_recorded, ways
+from procedures.survey import Model, ModelPair, Programme, active_model, nominal_of, places, wait_until_recorded, ways
+from procedures.verify import SurveyPair, driven, on_recorded, write
 
 REAL_SPEED = 0.5  # of a real arm's joint limits
 

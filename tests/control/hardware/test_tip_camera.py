@@ -20,7 +20,7 @@ from control.kinematics.rotation import matrices, quaternion_of
 from control.model.camera import Camera, CameraStream
 from firmware_iface.clock import MonotonicClock
 from hil_mocks.assembly import MOCAP
-from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad, TARGET_turn_rad, rotation_of
+from hil_mocks.devices.cameras import BASE_m, BASE_turn_rad, TARGET_turn_rad, rotation_of
 from procedures import ports
 from tests.cell import RIGHT, Cell, open_cell, scenario
 

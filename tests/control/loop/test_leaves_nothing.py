@@ -16,7 +16,7 @@ from control.hardware.boards import LOOK_AGAIN_S
 from control.safety.table import Mode
 from control.server.server import CLIENT_LIMIT, STOP_PLACES, Server
 from firmware_iface.errors import LinkLost
-from hil_mocks.firmware.library import compiler
+from hil_mocks.firmware import compiler
 from procedures.drills.catalogue import COMMANDS, NONSENSE
 from tests.cell import PERIOD_S, Cell, holding_cell, open_cell, scenario
 from tests.kinds import ON_BOARDS

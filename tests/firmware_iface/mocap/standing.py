@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from hil_mocks.devices.camera import Point, TipPose
+from hil_mocks.devices.cameras import Point, TipPose
 
 
 class Standing(NamedTuple):

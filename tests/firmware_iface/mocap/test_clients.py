@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil_mocks.devices.camera import CameraSetup
-from hil_mocks.devices.mocap import (
+from hil_mocks.devices.cameras import (
     FIRST_ID,
+    CameraSetup,
     MEAN_ERROR_m,
     MocapMock,
     NatNetMock,

@@ -14,8 +14,7 @@ from firmware_iface.mocap import natnet, qtm
 from firmware_iface.mocap.bodies import Malformed, angle_rad
 from firmware_iface.mocap.natnet import KEEP_ALIVE_s, NatNetStream
 from firmware_iface.mocap.qtm import QtmStream
-from hil_mocks.devices.camera import CameraSetup
-from hil_mocks.devices.mocap import MocapMock, NatNetMock, QtmMock, SceneSetup
+from hil_mocks.devices.cameras import CameraSetup, MocapMock, NatNetMock, QtmMock, SceneSetup
 from hil_mocks.wires import CameraWire, Commands, OneClientServer, free_udp_port
 from tests.firmware_iface.mocap.standing import Standing
 

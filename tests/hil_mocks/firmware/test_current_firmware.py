@@ -6,7 +6,7 @@ import ctypes
 
 import pytest
 
-from hil_mocks.firmware.library import OutputStructure, library, size_of
+from hil_mocks.firmware import OutputStructure, library, size_of
 from tests.firmware import needs_compiler
 
 pytestmark = needs_compiler

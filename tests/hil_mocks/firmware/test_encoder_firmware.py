@@ -6,7 +6,7 @@ import random
 
 from hil_mocks.devices.encoder_board import EncoderBoardMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardSetup, deframe, frame
-from hil_mocks.firmware.boards import EncoderBoardFirmware
+from hil_mocks.firmware import EncoderBoardFirmware
 from tests.firmware import needs_compiler
 
 pytestmark = needs_compiler

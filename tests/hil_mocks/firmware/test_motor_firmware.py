@@ -9,7 +9,7 @@ import pytest
 
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, MotorBoardSetup, Output
-from hil_mocks.firmware.boards import MotorBoardFirmware
+from hil_mocks.firmware import MotorBoardFirmware
 from tests.firmware import needs_compiler
 from tests.fuzz.firmware import MOTOR, MotorTalk, conversations
 

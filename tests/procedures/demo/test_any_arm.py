@@ -8,7 +8,7 @@ from benchmarks.arms import SEVEN
 from procedures.demo.gap import programme_of
 from procedures.demo.job import shut_down, start_again
 from procedures.mock import SteppedBench, seeded_scenario
-from procedures.verify.survey import Model, Survey
+from procedures.survey import Model, Survey
 
 
 def test_an_arm_that_sinks_is_held_from_one_runtime_to_the_next(tmp_path: Path) -> None:

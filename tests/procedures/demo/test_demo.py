@@ -19,7 +19,7 @@ from control.model.arm import Arm, Table
 from control.model.description import load_arm
 from procedures.demo import gap
 from procedures.demo.job import JobOutcome, run
-from procedures.verify.survey import Programme, places, ways
+from procedures.survey import Programme, places, ways
 from tests.places import RIGHT_TOML, ROOT
 
 DEMO = ROOT / "hil_mocks" / "scenarios" / "demo.toml"

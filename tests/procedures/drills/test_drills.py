@@ -12,7 +12,7 @@ import pytest
 
 from console.main import main
 from control.model.description import load_arm
-from hil_mocks.firmware.boards import VARIABLE
+from hil_mocks.firmware import VARIABLE
 from procedures.drills.catalogue import drills
 from procedures.drills.drill import HEADER, Drill, gripping_stage, header, off_way_m, row, stage, verdict
 from procedures.drills.files import Disk, PowerLost

@@ -12,7 +12,7 @@ from calib.capture.alignment import JointMotion, align
 from calib.capture.tracks import BodyTrack
 from calib.gap.log import Log, LoggedRun
 from control.kinematics.kinematics import ForwardKinematics
-from procedures.gap.timing import NO_STAMPS, on_one_clock, with_tips
+from procedures.gap_timing import NO_STAMPS, on_one_clock, with_tips
 from tests.procedures.gap.test_gap_timing import ARM, RUNS, PERIOD_s, angle
 
 KINEMATICS = ForwardKinematics(ARM)

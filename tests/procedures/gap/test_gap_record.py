@@ -23,9 +23,9 @@ from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.rotation import logarithms, matrices, quaternions
 from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm
-from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad, TARGET_turn_rad
-from hil_mocks.devices.mocap import rotation_of as turn_of
-from procedures.gap.recording import note, record
+from hil_mocks.devices.cameras import BASE_m, BASE_turn_rad, TARGET_turn_rad
+from hil_mocks.devices.cameras import rotation_of as turn_of
+from procedures.gap_recording import note, record
 from procedures.mock import SteppedBench, scenario_bytes
 from procedures.tour import Bench
 from tests.cell import scenario

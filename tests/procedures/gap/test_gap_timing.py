@@ -12,8 +12,8 @@ import pytest
 from calib.gap.log import read_log
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
-from procedures.gap.recording import RunFile, log_text, write_log
-from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of, lead_rad_of
+from procedures.gap_recording import RunFile, log_text, write_log
+from procedures.gap_timing import MEAN_s, Raw, aligned, clocks_of, lead_rad_of
 from procedures.on_boards import on_boards
 
 ARM = load_arm("right")

@@ -23,8 +23,8 @@ from control.kinematics.rotation import matrices
 from control.model.arm import Effect
 from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm, save_arm
-from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad
-from hil_mocks.devices.mocap import rotation_of as turn_of
+from hil_mocks.devices.cameras import BASE_m, BASE_turn_rad
+from hil_mocks.devices.cameras import rotation_of as turn_of
 from tests.calib.session.session_arm import ScriptedArm
 
 RIGHT = load_arm("right")

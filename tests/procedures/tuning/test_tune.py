@@ -19,11 +19,11 @@ from control.errors import ArmError
 from control.model.arm import DrivePid
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
+from procedures import tuning, tuning_session
+from procedures import tuning_session as signal
 from procedures.on_boards import on_boards
-from procedures.tuning import procedure, session
-from procedures.tuning import session as signal
-from procedures.tuning.procedure import NotTuned, TuningOptions, inertia_ratios, tune, write_report
-from procedures.tuning.session import MeasuredResponse, PoorResponse, evaluate, multisine, usable
+from procedures.tuning import NotTuned, TuningOptions, inertia_ratios, tune, write_report
+from procedures.tuning_session import MeasuredResponse, PoorResponse, evaluate, multisine, usable
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 
 pytestmark = pytest.mark.usefixtures("nobody_below")
@@ -48,7 +48,7 @@ def answered(noise_rad: float = 0.0, bend: float = 0.0, passes: int = 4) -> Meas
 
 def test_a_board_that_closes_the_position_loop_itself_is_not_tuned() -> None:
     arm = on_boards(RIGHT, "mixed")
-    assert procedure.tunable(arm) == (1, 2)
+    assert tuning.tunable(arm) == (1, 2)
     with SteppedRig(arm, scenario()) as rig, pytest.raises(NotTuned, match="joint 3 closes the position loop"):
         tune(wired_to(arm, rig), rig.clock, TuningOptions((1, 3)), lambda what, share: None)
 
@@ -65,9 +65,9 @@ def test_where_delay_leaves_no_reserve_of_phase_that_of_gain_is_kept(
                 raise MarginsUnmet("none")
             return gain_dB, phase_deg
 
-    design, reserve = procedure._fastest(Best())
+    design, reserve = tuning._fastest(Best())
     assert reserve == kept
-    assert design == (procedure.LEAST_GAIN_dB + kept[0], procedure.LEAST_PHASE_deg + kept[1])
+    assert design == (tuning.LEAST_GAIN_dB + kept[0], tuning.LEAST_PHASE_deg + kept[1])
 
 
 def test_the_signal_is_of_odd_harmonics_with_some_left_out_and_no_high_peak() -> None:
@@ -108,10 +108,10 @@ def test_a_joint_whose_encoder_is_behind_play_is_not_tuned_by_its_response(side:
     arm = with_drive(RIGHT, 1, encoder_on=side)
     good = usable(answered(bend=bend), 0.9)
     before = cast(Any, SimpleNamespace(gains=gains_of(arm, 1), measured=good))
-    assert (good.distortion > procedure.NOT_LINEAR) is (bend > 0.0)
+    assert (good.distortion > tuning.NOT_LINEAR) is (bend > 0.0)
     context = nullcontext() if is_tuned else pytest.raises(NotTuned, match="behind the gear: it has play or friction")
     with context:
-        procedure._designed(arm, 1, before, TuningOptions((1,)), (0.0, 0.15, 0.75))
+        tuning._designed(arm, 1, before, TuningOptions((1,)), (0.0, 0.15, 0.75))
 
 
 def test_inertias_are_relative_to_those_of_the_pose() -> None:
@@ -123,7 +123,7 @@ def test_inertias_are_relative_to_those_of_the_pose() -> None:
 
 @pytest.fixture
 def _two_passes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "PASSES", 2)
+    monkeypatch.setattr(tuning_session, "PASSES", 2)
 
 
 HOMED = scenario(None, base="demo")
@@ -169,8 +169,8 @@ def test_a_fault_ends_it_and_the_drives_are_off() -> None:
 
 def test_a_board_that_runs_the_pid_is_measured_in_voltage_mode_and_keeps_its_own() -> None:
     arm = with_drives(RIGHT, pid=DrivePid("position"))
-    assert {d.pid.mode for d in procedure.in_voltage_mode(arm).drives} == {"voltage"}
-    gains = procedure.with_gains(arm, {1: procedure.gains_of(RIGHT, 1)})
+    assert {d.pid.mode for d in tuning.in_voltage_mode(arm).drives} == {"voltage"}
+    gains = tuning.with_gains(arm, {1: tuning.gains_of(RIGHT, 1)})
     assert [d.pid.mode for d in gains.drives] == ["position"] * 3
     assert gains.drive(1).pid.kp is not None
     assert gains.drive(2).pid.kp is None

@@ -22,9 +22,9 @@ from control.model.arm import Arm, Calibration, Effect, Link, Tool
 from control.model.description import load_arm, save_arm
 from control.model.fingerprint import fingerprint
 from control.recording.record import FileSink, Layout
-from procedures.verify import procedure
-from procedures.verify import survey as verify_places
-from procedures.verify.survey import (
+from procedures import survey as verify_places
+from procedures import verify
+from procedures.survey import (
     MOVING,
     Model,
     ModelPair,
@@ -40,7 +40,7 @@ from procedures.verify.survey import (
     wait_until_recorded,
     ways,
 )
-from procedures.verify.survey import run as run_way
+from procedures.survey import run as run_way
 from tests.places import ARMS
 
 RIGHT = load_arm("right")
@@ -87,7 +87,7 @@ def measured(tmp_path: Path) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures take seconds, and another test has them."""
-    monkeypatch.setattr(procedure, "write_verification_report", lambda path, shown: path.write_text("", "utf-8"))
+    monkeypatch.setattr(verify, "write_verification_report", lambda path, shown: path.write_text("", "utf-8"))
 
 
 def test_recorded_points_show_that_the_calibrated_arm_is_better(

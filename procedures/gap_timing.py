@@ -7,6 +7,7 @@ a / R per second, which shifts the mean to the time of the command. Angles that 
 which gives d. Resistance, motor constant and a command delay are fitted as well, so that none of them is mistaken for age. The
 camera's age is that for which its tips follow those of the encoders, apart from smooth functions of the pose, backlash and
 compliance.
+
 """
 
 from __future__ import annotations

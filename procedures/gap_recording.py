@@ -1,7 +1,8 @@
 """Records a plan of poses and motions: its steps as stops of a tour (`procedures.tour`).
 
 points.csv gets a line per pose; runs/NAME.csv holds a run as recorded by the runtime: unaligned rows, one per cycle, which
-`procedures.gap.timing` aligns. log.csv is made of all runs so far when the recording ends, however it ends.
+`procedures.gap_timing` aligns. log.csv is made of all runs so far when the recording ends, however it ends.
+
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from control.model.arm import Arm
 from control.plain_text import Advance
 from control.recording.record import LEAD_FIELD
 from control.tables import SAMPLES_MOST, opened_rows
-from procedures.gap.timing import Aligned, Raw, aligned, clocks_of, lead_rad_of
+from procedures.gap_timing import Aligned, Raw, aligned, clocks_of, lead_rad_of
 from procedures.tour import Bench, How, Rows, Stop, note_plan, remaining, tour
 
 TIP = ("x_m", "y_m", "z_m")

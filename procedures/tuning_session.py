@@ -1,6 +1,7 @@
 """A joint's response, measured on the arm: a multisine while it moves at constant speed, a step, a move.
 
 In: an arm's runtime of its own, gains, an amplitude. Out: the plant's response with its quality, and what step and move did.
+
 """
 
 import contextlib

@@ -20,7 +20,7 @@ from control.model.arm import Arm, DrivePid
 from control.plain_text import Advance
 from control.server.client import ArmFaulted
 from firmware_iface.clock import Clock
-from procedures.tuning.session import (
+from procedures.tuning_session import (
     PERIOD_S,
     LOWEST_Hz,
     MeasuredResponse,

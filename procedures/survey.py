@@ -2,6 +2,7 @@
 
 The arm is moved by either model, whichever the runtime uses, and the camera measures. Points and paths go to the runtime as
 joint angles by the model's inverse kinematics, which need no geometry in the loop.
+
 """
 
 import math

@@ -23,7 +23,7 @@ from control.model import table as tables
 from control.model.arm import Arm, Effect
 from control.plain_text import Advance
 from control.server.client import ArmClient
-from procedures.verify.survey import Model, ModelPair, Programme, Survey, compared, paired, raw_points
+from procedures.survey import Model, ModelPair, Programme, Survey, compared, paired, raw_points
 
 
 @dataclass(slots=True)

@@ -1,1 +1,0 @@
-"""Recording for the gap workflow, on an arm or its mock."""
