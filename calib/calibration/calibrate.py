@@ -107,7 +107,6 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     suspects = find_suspects(problem, fit.x, _cavities(arm), _usual_noise_m(problem, floor))
     held, reasons = _held_out(arm, points, plan, advance)
     judged = verdict(fit, held, floor, suspects, points.setup, still_joints(points.q_rad))
-    advance("done", 1.0)
     return Calibrated(
         arm, calibrated_arm(arm, fit, points), points, problem, fit, suspects, held, floor, judged, (*warnings, *reasons)
     )

@@ -82,7 +82,6 @@ def calibrate_pair(arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, ad
     estimation = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x), best.prior)
     calibrated, base = problem.solution(x)
     held = _held_out(arms, contacts, plan, advance)
-    advance("done", 1.0)
     return PairFound(
         calibrated,
         base,

@@ -94,7 +94,6 @@ def calibrate_with_distances(
     best = solved(problem, plan.objective)
     x = best.x
     held = _held_out(problem, best.objective, advance)
-    advance("done", 1.0)
     at = [device.at(values) for device, values in zip(problem.devices, problem.device_values(x), strict=True)]
     return DistancesFound(
         _identification(problem, tips, best),

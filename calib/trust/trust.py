@@ -107,7 +107,6 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
         advance("predicting poses that are left out", 0.6)
         coverage = coverage_of(problem, at, unknown)
     groups = importances(predictor, problem, discrepancy, Conditions.of(poses, 1.0, request.payloads_kg[0]))
-    advance("done", 1.0)
     return Trust(
         arm, points, request, posterior, predictor, discrepancy, poses, sheets, coverage, groups, measuring_m, tuple(warnings)
     )

@@ -70,6 +70,8 @@ class Bar:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None and self._done > 0.0:
+            self.advance("done", 1.0)
         if self._is_terminal:  # rich ends with an empty line otherwise
             self._progress.stop()
 

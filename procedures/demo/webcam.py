@@ -91,7 +91,6 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOut
     of_points = made_today(input_file(out / "points.csv", "points"))
     write_calibrated_arm(out / "arm_calibrated.toml", nominal, made.found, of_points)
     before, after = _over_workspace(pictured, nominal, made.arm, draw)
-    advance("done", 1.0)
     return WebcamOutcome(fit, webcam.focal_px[0], poses, made, rank, before, after)
 
 

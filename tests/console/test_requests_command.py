@@ -174,6 +174,19 @@ def test_what_waiting_shows_never_wraps(monkeypatch: pytest.MonkeyPatch) -> None
     assert len(terminal.getvalue().removeprefix("\r\x1b[K")) == 39
 
 
+def test_a_job_says_once_that_it_is_done_and_one_that_fails_does_not(capsys: pytest.CaptureFixture[str]) -> None:
+    with waiting.Bar("job") as bar:
+        bar.advance("part", 0.4)
+        bar.advance("rest", 1.0)
+    assert [line.rpartition(" ")[2] for line in capsys.readouterr().err.splitlines()] == ["part", "rest"]
+    with waiting.Bar("job") as bar:
+        bar.advance("part", 0.4)
+    assert capsys.readouterr().err.endswith("job: 100% after 0 s: done\n")
+    with pytest.raises(KeyError), waiting.Bar("job") as bar:
+        bar.advance("part", {}["how far"])
+    assert "done" not in capsys.readouterr().err
+
+
 def by_a_command(cell: Cell, tmp_path: Path) -> None:
     with waiting.shown(cell.client, argparse.Namespace(command="move")):
         cell.client.move_joints((0.4, -0.4, 0.6), 0.5)

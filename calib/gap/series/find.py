@@ -91,7 +91,6 @@ def decided(
         tried = [(concluded(rest, [*harming, key]), rest, key) for rest, key in fits]
         examined, fit, key = min(tried, key=lambda one: one[0].growth)
         harming = [*harming, key]
-    progress("done", 1.0)
     return examined
 
 
