@@ -21,7 +21,7 @@ from control.hardware.interface import GripperFeedback, GripperHardware, NamedPi
 from control.model.board_kinds import GRIPPER_PERIOD_s, PIN_PERIOD_s
 from control.model.end_effector import Digital, Gripper
 from control.safety.limits import voltage_range
-from control.safety.monitor import Fault, Reaction
+from control.safety.modes import Fault, Reaction
 from firmware_iface.errors import BoardReset
 
 

@@ -16,15 +16,14 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Protocol
 
-from control.dynamics.feedforward import Motor, torque_model
+from control.dynamics.feedforward import Loads, Motor, torque_model, without_tool_mass
 from control.dynamics.gains import Gains
-from control.dynamics.loads import Loads, without_tool_mass
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.model.arm import Arm
 from control.motion.setpoint import JointState, SetPoint
 from control.safety.limits import voltage_range
-from control.safety.monitor import Fault, Reaction
+from control.safety.modes import Fault, Reaction
 
 # A finite bound: one chained comparison rejects NaN and both infinities at once.
 _LARGEST = 1e300

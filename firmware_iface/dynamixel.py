@@ -9,8 +9,7 @@ from firmware_iface import dynamixel_wire
 from firmware_iface.clock import Clock
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import Instruction, ServoLine
-from firmware_iface.smart_servo import ServoWire, SmartServo
+from firmware_iface.smart_servo import Instruction, ServoLine, ServoWire, SmartServo
 
 REBOOT_s = 0.5
 STORED_SPAN = (0, 69)  # address and length: model to status return level

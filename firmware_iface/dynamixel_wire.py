@@ -11,7 +11,7 @@ is CRC-16/BUYPASS (polynomial 0x8005 from 0) of all bytes before it.
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_iface.servo_line import Instruction, StatusPacket
+from firmware_iface.smart_servo import Instruction, StatusPacket
 
 HEADER: Final = b"\xff\xff\xfd\x00"
 BROADCAST: Final = 0xFE

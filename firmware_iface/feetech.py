@@ -8,8 +8,7 @@ from firmware_iface import feetech_wire
 from firmware_iface.clock import Clock
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine
-from firmware_iface.smart_servo import ServoWire, SmartServo
+from firmware_iface.smart_servo import ServoLine, ServoWire, SmartServo
 
 STORED_SPAN = (0, 37)  # address and length: firmware to overload torque
 RETURN_DELAY, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 7, 40, 41, 42, 46, 48

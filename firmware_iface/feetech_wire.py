@@ -10,7 +10,7 @@ The checksum is the inverted sum of all bytes from the id on. Numbers are little
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_iface.servo_line import Instruction, StatusPacket
+from firmware_iface.smart_servo import Instruction, StatusPacket
 
 HEADER: Final = b"\xff\xff"
 BROADCAST: Final = 0xFE

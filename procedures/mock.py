@@ -39,8 +39,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.installation import command
 from firmware_iface.interrupts import ends_with_parent, held
 from hil_mocks.cell import SteppedCell
-from hil_mocks.realtime import RealTimeRig
-from hil_mocks.rig import MockHand, MockPorts, SimulatedArm, SteppedRig
+from hil_mocks.rig import MockHand, MockPorts, RealTimeRig, SimulatedArm, SteppedRig
 from hil_mocks.scenario import Scenario
 from procedures.folders import free_folder
 from procedures.ports import move_together

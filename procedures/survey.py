@@ -40,7 +40,7 @@ from control.motion.waypoints import Waypoints
 from control.recording.frame_decoder import row_type
 from control.recording.reading import Recording
 from control.recording.recorder_state import parts_from
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.channel import Message
 from control.server.client import ArmClient
 from procedures.tour import Bench, How, Stop, tour

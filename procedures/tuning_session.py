@@ -21,7 +21,7 @@ from control.hardware.interface import Hardware, OutputMode, Wanted
 from control.model.arm import Arm
 from control.model.drive import JointMap
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel

@@ -18,7 +18,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.end_effector import Gripper
 from control.recording.record import RowSink
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import Assembly, assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel

@@ -20,7 +20,7 @@ from typing import Any
 
 from control.loop.runtime import Runtime
 from control.model.arm import Arm
-from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Mode
+from control.safety.modes import CONTROLLED_MODES, TRAVELLING_MODES, Mode
 from control.server.in_process import SteppedLoop
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable

@@ -10,7 +10,7 @@ from typing import Any
 from control.hardware.connect import connect_cell
 from control.loop.runtime import Runtime
 from control.model.cell import Cell, load_cell
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import CellAssembly, assemble, assemble_cell
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel

@@ -20,7 +20,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import Assembly, assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel

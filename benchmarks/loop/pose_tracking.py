@@ -16,7 +16,7 @@ from control.hardware.connect import connect
 from control.kinematics import rotation
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.motion.plan import plan_path
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel

@@ -23,7 +23,7 @@ from control.recording.reading import Recording
 from control.recording.record import Layout
 from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient
-from hil_mocks.realtime import RealTimeRig
+from hil_mocks.rig import RealTimeRig
 from procedures.mock import wired_to
 
 APPROACH_SPEED = 0.3  # so that an arm does not move far at its last voltage if the host pauses

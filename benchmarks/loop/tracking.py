@@ -16,7 +16,7 @@ from control.hardware.connect import connect
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.recording.record import Layout, NoSink, layout_of
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel

@@ -19,7 +19,7 @@ from control.model.cell import load_cell, save_cell
 from control.model.description import load_arm, save_arm
 from control.plain_text import Advance, aligned
 from hil_mocks.firmware import choose
-from hil_mocks.realtime import MockProcess, RealTimeCell, RealTimeRig
+from hil_mocks.rig import MockProcess, RealTimeCell, RealTimeRig
 from procedures.demo import job
 from procedures.drills.catalogue import drills, drills_named
 from procedures.drills.drill import header, in_words, listing, row, verdict

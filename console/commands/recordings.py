@@ -18,8 +18,7 @@ from control.files import make_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.recording.cell_folder import FILE_NAME, join, recorded_cell, recordings_in
-from control.recording.export import export
-from control.recording.mcap_file import cell_to_mcap
+from control.recording.export import cell_to_mcap, export
 from control.recording.reading import Recording, recorded_arm
 from procedures.folders import free_folder, require_writable
 

@@ -20,7 +20,7 @@ STALE = "*"
 def run(args: argparse.Namespace) -> int:
     """Print the status; exit status 1 if the arm is in FAULT. Or print the table of modes, which needs no arm."""
     if args.modes:
-        from control.safety.table import table_text
+        from control.safety.modes import table_text
 
         sys.stdout.write(f"{table_text()}\n")
         return 0

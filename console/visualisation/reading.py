@@ -17,12 +17,12 @@ from console.visualisation.series import JOINT_FORMS, Array, Report, Series, joi
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.recording.cell_folder import SAME_S, arm_of, recorded_cell, recordings_in
+from control.recording.export import attached_arm
 from control.recording.frame_decoder import row_type
-from control.recording.mcap_file import attached_arm
 from control.recording.mcap_schemas import TOPICS
 from control.recording.reading import RecordError, Recording, recorded_arm
 from control.recording.record import MAGIC, MAGIC_OF_FRAMES, MODES_BEFORE_THEY_WERE_RECORDED
-from control.safety.table import Mode
+from control.safety.modes import Mode
 
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 

@@ -16,9 +16,9 @@ from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.recording import mcap_scene as scene
-from control.recording.mcap_file import ERROR_LEVEL, CycleChanges
+from control.recording.export import ERROR_LEVEL, CycleChanges
 from control.recording.mcap_schemas import CAMERA, DRIVES, ERROR, JOINTS, LOOP, SET_POINT, schemas_of
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.channel import Message
 
 TIMELINE: Final = "arm"

@@ -11,7 +11,7 @@ from control.hardware.interface import Hardware
 from control.loop.neighbours import CollisionWatch
 from control.loop.runtime import Runtime
 from control.model.cell import Cell
-from control.safety.table import TRAVELLING_MODES, Mode
+from control.safety.modes import TRAVELLING_MODES, Mode
 
 MOVING_MODES = TRAVELLING_MODES | {Mode.STOPPING, Mode.GUIDING}  # in which an arm may be in motion
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from control.dynamics.feedforward import Motor
 from control.hardware.interface import HOME_SWITCH, WARNING, Feedback
-from control.safety.monitor import Fault, Reaction
+from control.safety.modes import Fault, Reaction
 from control.safety.motor_checks import Lasting, SpeedCheck, TorqueCheck
 
 LASTS_S = 0.02  # of a value outside of its limits: ten cycles at 500 Hz

@@ -22,13 +22,11 @@ from types import MappingProxyType
 from control.end_effector import GripState
 from control.hardware.interface import Hardware, OutputMode, Wanted
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
-from control.loop.arm_state import ArmState
+from control.loop.arm_state import NOWHERE, ArmState
 from control.loop.drives import Bound, drives_wanted
-from control.loop.parts import NOWHERE
 from control.loop.watch import Expectation
 from control.recording.record import COUNT_MOST
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Event, Mode
+from control.safety.modes import Event, Fault, Mode, Reaction
 from firmware_iface.errors import AnotherHost, BoardReset, LinkError
 
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.

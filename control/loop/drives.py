@@ -12,8 +12,7 @@ from enum import Enum
 
 from control.hardware.interface import OPERATION_ENABLED, STATE_MASK, Feedback, Wanted
 from control.loop.watch import faults_of_drive
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Mode
+from control.safety.modes import Fault, Mode, Reaction
 
 CHANGE_LIMIT_S = 1.0  # a drive takes three cycles; a second means an emergency stop, or another program
 

@@ -12,8 +12,7 @@ from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.loop.set_points import stop_along, stop_from
 from control.safety.limits import Clip
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import TRAVELLING_MODES, Mode
+from control.safety.modes import TRAVELLING_MODES, Fault, Mode, Reaction
 from firmware_iface.errors import LinkError
 
 # The arm does not get to its set-point: a stop from there would push on what holds it back.

@@ -10,8 +10,7 @@ from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail
 from control.loop.homing_sequence import HomingFailed
 from control.motion.setpoint import at_rest
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Event
+from control.safety.modes import Event, Fault, Reaction
 
 
 def doubt(state: ArmState) -> str:

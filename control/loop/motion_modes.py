@@ -16,8 +16,7 @@ from control.loop.set_points import begin, stop_along, stop_from
 from control.motion.lookout import Lookout
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import TRAVELLING_MODES, Event, Mode
+from control.safety.modes import TRAVELLING_MODES, Event, Fault, Mode, Reaction
 
 WORKSPACE_REMEDY = (
     "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are, cell.toml where other"

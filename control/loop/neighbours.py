@@ -19,8 +19,7 @@ from control.motion.guard import FarPoses, ROOM_m
 from control.motion.joint_limits import reaches_m
 from control.motion.setpoint import Motion
 from control.safety.collision import FAR, ArmBody, Capsules, Nearest, least_gap, middle, pairs_between
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Mode
+from control.safety.modes import Fault, Mode, Reaction
 
 AHEAD_S = 0.25  # a stop along the path takes 0.4 s at most, at half of the speed on average
 LOOKS_MOST = 24  # at a motion before it begins: 1.5 ms of the loop's time

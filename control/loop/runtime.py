@@ -10,8 +10,7 @@ from control.loop.cycle import Cycle
 from control.loop.jogging import JogRequest
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.monitor import Fault
-from control.safety.table import Event, Mode
+from control.safety.modes import Event, Fault, Mode
 from firmware_iface.errors import BoardReset
 
 NO_GRIP_MODES = (Mode.OFF, Mode.HELD, Mode.BRAKED, Mode.FAULT)

@@ -11,7 +11,7 @@ from control.loop.arm_state import ArmState
 from control.motion.pace import Limited, Paced
 from control.motion.setpoint import Motion, SetPoint, at_rest
 from control.safety.limits import Clip, limit_set_point
-from control.safety.table import Mode
+from control.safety.modes import Mode
 
 Angles = tuple[float, ...]
 ON_PATH = (Mode.MOVING, Mode.PAUSED)

@@ -10,7 +10,7 @@ from control.loop.arm_state import ArmState
 from control.loop.drives import CHANGE_LIMIT_S, Bound
 from control.loop.homing import require_plausible, take_known_zeros
 from control.loop.motion_modes import stop
-from control.safety.table import CONTROLLED_MODES, Event, Mode
+from control.safety.modes import CONTROLLED_MODES, Event, Mode
 
 HELD = "the arm is held by its boards"
 TAKES_OVER = "`armwright enable` takes it over"

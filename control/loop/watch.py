@@ -1,6 +1,6 @@
 """Monitoring of each cycle: measured values against limits; each violation is a fault with a remedy.
 
-Three reactions (control.safety.monitor): if the feedback is good, a controlled stop and hold; if the loop has lost it and the
+Three reactions (control.safety.modes): if the feedback is good, a controlled stop and hold; if the loop has lost it and the
 motor boards have not, they stop and hold by themselves; if it cannot be trusted, the windings are shorted on all joints.
 Order matters only for the operator: the first finding is usually the cause.
 """
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from control.hardware.interface import OPERATION_ENABLED, QUADRATURE_ERROR, SIGNAL_LOST, STATE_MASK, ZERO_SET, Feedback
 from control.motion.setpoint import JointState
 from control.safety.limits import allowed_lag, is_stale, overrun
-from control.safety.monitor import Fault, Reaction
+from control.safety.modes import Fault, Reaction
 
 DRIVE_FAULTS = {
     0: ("over-current", "check for a blocked joint or a short circuit; reduce the acceleration"),

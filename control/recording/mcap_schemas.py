@@ -68,7 +68,7 @@ TOPICS: Final[dict[str, tuple[Field, ...]]] = {
         Field("t_s", "s", "clock of the loop"),
         Field("cycle", "1", "number of the cycle"),
         Field("run", "1", "number of the motion; 0 before the first"),
-        Field("mode", "1", "number of the mode, by control.safety.table.Mode; its name is in mode_name"),
+        Field("mode", "1", "number of the mode, by control.safety.modes.Mode; its name is in mode_name"),
         Field("missed", "1", "deadlines missed so far"),
         Field("late_s", "s", "how late the cycle began, its wait for the encoder's report included"),
         Field("busy_s", "s", "how long the cycle took"),

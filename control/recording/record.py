@@ -32,7 +32,7 @@ from control.model.arm import Arm
 from control.model.cell import Cell
 from control.recording.frames import content_of, stored_columns
 from control.recording.recorder_state import RecorderState
-from control.safety.table import Mode
+from control.safety.modes import Mode
 
 MAGIC, MAGIC_OF_FRAMES = b"ARMLOG1\n", b"ARMLOG2\n"
 ROWS_A_REPORT = 256  # reports are read once in this many rows

@@ -5,10 +5,9 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from control.dynamics.feedforward import Motor, torque_constants_Nm_A
+from control.dynamics.feedforward import Loads, Motor, torque_constants_Nm_A, without_tool_mass
 from control.dynamics.gains import InertiaScale, gains_of
 from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
-from control.dynamics.loads import Loads, without_tool_mass
 from control.end_effector import GripperControl, Outputs, PlacedGripper
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
@@ -19,11 +18,11 @@ from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.loop import cross_checks
+from control.loop.arm_state import Checks, Parts, Strain, ToolParts
 from control.loop.cell import CellRuntime
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.neighbours import guard_itself
-from control.loop.parts import Checks, Parts, Strain, ToolParts
 from control.loop.runtime import Runtime
 from control.loop.watch import MeasuredLimits, Watch, WatchLimits
 from control.model.arm import Arm, Drive
@@ -69,7 +68,7 @@ def assemble(
 ) -> Assembly:
     """Build a runtime that is ready for its first cycle. MissingModel if arm.toml lacks data for control.
 
-    `stopwatch_s` and `strain` (control.loop.parts) are what the recording says about the process.
+    `stopwatch_s` and `strain` (control.loop.arm_state) are what the recording says about the process.
     """
     prepare()
     limits, loads = JointLimits.of(arm), Loads(arm)

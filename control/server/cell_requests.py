@@ -14,7 +14,7 @@ from control.model.cell import Cell
 from control.model.fingerprint import places_of
 from control.motion.pace import Stretched
 from control.motion.setpoint import Motion
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.messages import SHOWN, Asked, MoveTogether, decoded
 from control.server.planned_motions import Planned
 from control.server.requests import Message, Requests, refused

@@ -27,7 +27,7 @@ from control.recording.cell_folder import new_folder
 from control.recording.record import PipeSink, about_cell, about_columns, layout_of
 from control.recording.recorder_state import RecorderState, hours_left
 from control.recording.writer import begin, stored_row_bytes
-from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Mode
+from control.safety.modes import CONTROLLED_MODES, TRAVELLING_MODES, Mode
 from control.server.assemble import assemble, assemble_cell
 from control.server.channel import linked
 from control.server.in_process import Served

@@ -20,8 +20,7 @@ from control.model.fingerprint import content_of, fingerprint_of
 from control.motion.joint_limits import JointLimits
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion
-from control.safety.monitor import IllegalTransition
-from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Event, Mode
+from control.safety.modes import CONTROLLED_MODES, TRAVELLING_MODES, Event, IllegalTransition, Mode
 from control.server import messages
 from control.server.messages import STOPPING, WATCHING, Asked, StartJog, decoded, numbers
 from control.server.planned_motions import Planned, PlannedMotions

@@ -12,7 +12,7 @@ from control.loop.homing import doubt
 from control.loop.runtime import Runtime
 from control.loop.shutdown import TAKES_OVER
 from control.recording.recorder_state import RecorderState
-from control.safety.table import CONTROLLED_MODES, Mode
+from control.safety.modes import CONTROLLED_MODES, Mode
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
 
 CAMERA_FRESH_S = 0.5

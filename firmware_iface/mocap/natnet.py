@@ -22,10 +22,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from struct import Struct
 
+from firmware_iface.camera import UdpListener
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardSilent, WrongIdentity
 from firmware_iface.mocap.bodies import NOWHERE, BodyFrame, FARTHEST_m, Fields, Malformed, RigidPose, SeenBody, unit
-from firmware_iface.udp import UdpListener
 
 CONNECT, SERVER_INFO, REQUEST_MODELS, MODELS, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
 Version = tuple[int, int]

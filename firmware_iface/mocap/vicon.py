@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from struct import Struct
 
+from firmware_iface.camera import FrameListener, UdpListener
 from firmware_iface.mocap.bodies import BodyFrame, FARTHEST_m, Fields, Malformed, Quaternion, RigidPose, SeenBody, product
-from firmware_iface.udp import FrameListener, UdpListener
 
 DEFAULT_PORT = 51001
 PADDED_bytes = (256, 512, 1024)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from math import dist
 
 from control.model.description import load_arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface import canopen_wire as canopen
 from firmware_iface import dynamixel_wire as dynamixel
 from firmware_iface import feetech_wire as feetech

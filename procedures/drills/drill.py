@@ -18,7 +18,7 @@ from control.hardware.connect import Connection, connect
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.end_effector import Gripper
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.assemble import Assembly, assemble
 from control.server.channel import Message
 from control.server.client import ArmClient

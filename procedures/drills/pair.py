@@ -17,7 +17,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
 from control.safety.collision import ArmBody, least_gap, pairs_between
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmClient
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point

@@ -21,7 +21,7 @@ from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, board_targets, fingerprint
 from calib.session.residual_watch import ResidualWatch
 from control.errors import ArmError
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from procedures.drills import drill

@@ -15,7 +15,7 @@ import pytest
 import armwright
 from armwright.connection import RunningArm
 from control.model.description import save_arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from tests.cell import Cell, open_cell, scenario

@@ -16,7 +16,7 @@ from console.commands import progress as waiting
 from console.commands import requests, script
 from console.main import main
 from control.errors import ArmError
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmClient
 from tests.cell import Cell, handled, holding_cell, restarted, scenario
 from tests.kinds import ON_BOARDS

@@ -6,8 +6,7 @@ from contextlib import suppress
 import pytest
 
 from control.hardware.interface import OutputMode
-from control.safety.monitor import Reaction
-from control.safety.table import Mode
+from control.safety.modes import Mode, Reaction
 from control.server.client import ArmFaulted
 from hil_mocks.firmware import compiler
 from hil_mocks.protocol_mock import SerialLine

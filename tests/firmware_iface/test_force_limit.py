@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, cast
 
-from firmware_iface.servo_line import ForceLimit, ServoLine
+from firmware_iface.smart_servo import ForceLimit, ServoLine
 
 
 class Line:

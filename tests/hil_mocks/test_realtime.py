@@ -13,7 +13,7 @@ import pytest
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.serial_link import open_serial
 from hil_mocks.errors import RigError
-from hil_mocks.realtime import RealTimeRig
+from hil_mocks.rig import RealTimeRig
 from hil_mocks.scenario import FaultTable
 from hil_mocks.serve import Pacer
 

@@ -35,8 +35,7 @@ LIST = Path(__file__).with_name("survivors.toml")
 TIMEOUT_s = 300
 TESTS: dict[str, tuple[str, ...]] = {
     "control.safety.limits": ("tests/control/safety/test_limits.py", "tests/property/test_limits_properties.py"),
-    "control.safety.table": ("tests/control/safety/test_monitor.py",),
-    "control.safety.monitor": ("tests/control/safety/test_monitor.py", "tests/control/loop/test_reactions.py"),
+    "control.safety.modes": ("tests/control/safety/test_monitor.py", "tests/control/loop/test_reactions.py"),
     "control.safety.motor_checks": ("tests/control/safety/test_motor_checks.py", "tests/control/loop/test_reactions.py"),
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
     "control.safety.collision": ("tests/control/safety/test_collision.py",),

@@ -7,7 +7,7 @@ import pytest
 from control.errors import ArmError
 from control.model.board_kinds import KINDS
 from control.model.description import load_arm, save_arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from procedures.on_boards import NAMES, on_boards
 from tests.cell import RIGHT, holding_cell, scenario
 

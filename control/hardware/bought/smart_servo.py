@@ -36,8 +36,7 @@ from firmware_iface.dynamixel import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardFaulted, WrongIdentity
 from firmware_iface.feetech import FeetechLine, FeetechServo
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine
-from firmware_iface.smart_servo import SmartServo
+from firmware_iface.smart_servo import ServoLine, SmartServo
 
 L = TypeVar("L", bound=ServoLine)
 FaultMap = Sequence[tuple[int, int]]

@@ -18,7 +18,7 @@ from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.model.description import load_arm, save_arm
 from control.model.reference import sections
 from control.recording.record import END_FIELDS, JOINT_FIELDS, JOINT_SIDE_FIELDS, LEAD_FIELD, SCALAR_FIELDS
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from tests.cell import RIGHT, scenario, wired_to, with_drive

@@ -21,7 +21,7 @@ from control.errors import ArmError
 from control.model.arm import Camera, Effect
 from control.model.camera import CameraStream
 from control.model.description import save_arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface.mocap.bodies import RigidPose, compose
 from hil_mocks.scenario import EffectTable
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario, with_drive

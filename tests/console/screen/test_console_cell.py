@@ -11,7 +11,7 @@ import pytest
 from console.commands.console import _of_cell
 from console.screen.app import ArmAtDesk
 from control.errors import ArmError
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import scenario
 from tests.console.screen.console_rig import Served, console_of, files_in, press, shown, until
 from tests.pair import APART, FREE, PAIR, Pair, holding_pair

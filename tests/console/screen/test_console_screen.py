@@ -19,8 +19,7 @@ from console.screen.operating import Choose
 from console.screen.operator import RuntimeLink
 from console.user_config import shows_degrees
 from control.model.arm import Table
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Mode
+from control.safety.modes import Fault, Mode, Reaction
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell
 from tests.console.screen.console_rig import Served, console_on, hold_key, mouse, press, said, shown, until
 

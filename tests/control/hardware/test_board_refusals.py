@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from control.model.drive import JointMap
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface import vesc
 from firmware_iface.canopen import MAKERS
 from firmware_iface.errors import ConnectionFailed

@@ -6,8 +6,7 @@ import pytest
 
 from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.connect import connect
-from control.safety.monitor import Reaction
-from control.safety.table import Mode
+from control.safety.modes import Mode, Reaction
 from firmware_iface.errors import ConnectionFailed
 from hil_mocks.devices import dynamixel as dynamixel_mock
 from hil_mocks.devices import feetech as feetech_mock

@@ -11,7 +11,7 @@ import pytest
 
 from control.hardware.connect import connect
 from control.model.arm import Arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface.errors import ConnectionFailed
 from hil_mocks.rig import SteppedRig
 from procedures.on_boards import on_boards

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from control.loop.cross_checks import IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import RIGHT, STRETCHED, Cell, holding_cell, scenario, with_drive
 
 TARGET = (1.2, -0.2, 0.8)

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from control.model.end_effector import Digital
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface.errors import ConnectionFailed
 from tests.cell import RIGHT, Cell, holding_cell, open_cell, scenario
 

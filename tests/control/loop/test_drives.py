@@ -6,8 +6,7 @@ import pytest
 
 from control.hardware.interface import Feedback, Wanted
 from control.loop.drives import Bound, DriveStates, drives_wanted
-from control.safety.monitor import Reaction
-from control.safety.table import Mode
+from control.safety.modes import Mode, Reaction
 
 ENABLED, SWITCHED_ON, LIMITING, OFF = 0x27, 0x23, 0xA7, 0x40  # of docs/motor_board.md; bit 7 is a warning
 TO_HOLD = (Bound.ON, Bound.HOLD)

@@ -22,7 +22,7 @@ from control.model.arm import Arm, Effect
 from control.model.arm_checks import check_arm
 from control.model.description import load_arm
 from control.model.reader import Rejected
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from hil_mocks.scenario import EffectTable
 from tests.cell import PERIOD_S, Cell, open_cell, scenario
 from tests.thirds import third_of

@@ -13,7 +13,7 @@ from control.errors import ArmError
 from control.hardware.interface import GripperFeedback
 from control.model.end_effector import Gripper
 from control.recording.record import about_columns, layout_of
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from hil_mocks.scenario import GripperTable
 from tests.cell import GRIPPER, RIGHT, Cell, handled, holding_cell, open_cell, restarted, scenario
 

@@ -11,8 +11,7 @@ import pytest
 
 from control.hardware.connect import CellConnection, SharedBuses
 from control.hardware.interface import Wanted
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Mode
+from control.safety.modes import Fault, Mode, Reaction
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS
 from tests.thirds import third_of

@@ -12,7 +12,7 @@ from control.hardware.interface import HOME_SWITCH, Feedback
 from control.loop.homing_sequence import HomingFailed, HomingSequence, JointHome, Phase
 from control.model.arm import Home
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmFaulted
 from hil_mocks.scenario import EncoderBoardTable
 from tests.cell import FRICTION, RIGHT, holding_cell, open_cell, scenario, with_drive, with_drives

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from control.motion.plan import plan_path
-from control.safety.monitor import Fault, Reaction
-from control.safety.table import Mode
+from control.safety.modes import Fault, Mode, Reaction
 from tests.cell import PERIOD_S, RIGHT, STRETCHED, Cell, handled, holding_cell, scenario, with_drive
 
 SILENCE_S = RIGHT.limits.jog_silence_s

@@ -15,7 +15,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect, Limits
 from control.motion.plan import PlannedPath, plan_path
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmFaulted
 from hil_mocks.scenario import EffectTable
 from tests.cell import RIGHT, Cell, holding_cell, scenario

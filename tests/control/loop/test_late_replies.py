@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from control.model.arm import Arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface.can_link import CanFrameLink
 from tests.cell import Cell, holding_cell, scenario
 from tests.kinds import ON_BOARDS

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from control.hardware.boards import LOOK_AGAIN_S
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.server import CLIENT_LIMIT, STOP_PLACES, Server
 from firmware_iface.errors import LinkLost
 from hil_mocks.firmware import compiler

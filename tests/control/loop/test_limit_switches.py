@@ -16,7 +16,7 @@ from control.model.arm import Arm, Home, LimitSwitches
 from control.model.arm_checks import check_arm
 from control.model.end_effector import Digital
 from control.model.reader import Rejected
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from firmware_iface.errors import ArmwrightError
 from hil_mocks.scenario import Scenario
 from procedures.on_boards import REFERENCE, on_boards

@@ -12,7 +12,7 @@ from control.errors import ArmError
 from control.model.cell import Placed
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.collision import ArmBody, least_gap, pairs_between
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import RequestRefused
 from procedures.drills.pair import thick_arm
 from tests.cell import FRICTION, holding_cell, scenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from control.hardware.board_stop import BoardStop, board_stop, stop_after_s
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, Cell, holding_cell, scenario, with_drives
 

@@ -12,7 +12,7 @@ from control.hardware.interface import Feedback
 from control.loop.cross_checks import CrossCheckLimits, CrossChecks, IndexWatch, MotorCountWatch, SwitchPlace, SwitchWatch
 from control.loop.watch import Expectation, MeasuredLimits, Watch, WatchLimits
 from control.motion.setpoint import SetPoint
-from control.safety.monitor import LOSES_ZERO, Fault, Reaction
+from control.safety.modes import LOSES_ZERO, Fault, Reaction
 
 CYCLE_s = 0.002
 NAMES = ("joint 1", "joint 2")

@@ -10,7 +10,7 @@ import pytest
 
 from control.loop import standstill as stillness
 from control.model.arm import Limits
-from control.safety.table import Event, Mode
+from control.safety.modes import Event, Mode
 from control.server.client import ArmFaulted, RequestRefused
 from firmware_iface.errors import LinkLost
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario
@@ -319,7 +319,7 @@ def test_a_fault_is_acknowledged_once_its_cause_is_gone_and_not_before(moving: C
 
 
 def test_a_held_fault_is_acknowledged_only_after_its_stop(moving: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    from control.safety.monitor import Fault, Reaction
+    from control.safety.modes import Fault, Reaction
 
     moving.runtime.fail(Fault("test", "here", "a test", "nothing", Reaction.CONTROLLED))
     assert "not ended" in moving.refusal(do="acknowledge")

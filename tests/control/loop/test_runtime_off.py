@@ -8,7 +8,7 @@ import pytest
 
 from control.loop import standstill as stillness
 from control.model.arm import Arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario, with_drives
 
 DROP_rad_s = 0.6
@@ -79,7 +79,7 @@ def test_off_with_friction_is_quick_because_the_arm_stays() -> None:
 
 @pytest.mark.parametrize("state", ["homing", "guiding", "braked", "held fault", "braked fault", "enabling", "off"])
 def test_off_works_from_every_mode_and_nothing_drops(state: str) -> None:
-    from control.safety.monitor import Fault, Reaction
+    from control.safety.modes import Fault, Reaction
 
     hidden = scenario(UPRIGHT, homed=state != "homing", effect=FRICTION)
     with open_cell(hidden) as cell:
@@ -107,7 +107,7 @@ def test_off_works_from_every_mode_and_nothing_drops(state: str) -> None:
 
 
 def test_a_held_fault_goes_off_through_braking_and_waits_until_the_arm_has_sunk() -> None:
-    from control.safety.monitor import Fault, Reaction
+    from control.safety.modes import Fault, Reaction
 
     with holding_cell() as cell:
         cell.runtime.fail(Fault("test", "here", "a test", "none", Reaction.CONTROLLED))

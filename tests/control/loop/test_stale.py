@@ -7,7 +7,7 @@ import pytest
 from console.commands.status import described
 from console.screen.drawing import text_of
 from console.screen.texts import joint_rows
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmFaulted, RequestRefused
 from tests.cell import RIGHT, Cell, holding_cell, open_cell
 

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import PERIOD_S, STRETCHED, open_cell, scenario
 
 OFF, BRAKED, HOLDING, MOVING, HOMING = Mode.OFF, Mode.BRAKED, Mode.HOLDING, Mode.MOVING, Mode.HOMING

@@ -10,7 +10,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.motion.plan import plan_path
 from control.recording.record import layout_of
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 
 PEN = Tool((0.0, 0.0, 0.1), name="pen", mass_kg=0.1)

@@ -16,7 +16,7 @@ from control.model.arm import Arm, Home
 from control.model.arm_checks import check_arm
 from control.model.description import load_arm
 from control.model.reader import Rejected
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import ArmFaulted
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, Cell, open_cell, restarted, scenario, with_drive

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from control.recording.recorder_state import RecorderState
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 
 FAR = [0.6, -0.3, 0.5]

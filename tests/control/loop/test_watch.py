@@ -25,7 +25,7 @@ from control.loop.watch import (
 )
 from control.motion.setpoint import SetPoint
 from control.safety.limits import NotFinite
-from control.safety.monitor import Fault, Reaction
+from control.safety.modes import Fault, Reaction
 
 # Powers of two, so that values at a limit are at the limit and not a rounding beside it.
 LIMIT = MeasuredLimits(

@@ -18,7 +18,7 @@ from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import RequestRefused
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 from tests.thirds import third_of

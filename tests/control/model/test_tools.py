@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.loads import Loads
+from control.dynamics.feedforward import Loads
 from control.errors import ArmError, ArmFileError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool

@@ -15,7 +15,7 @@ from console.main import main
 from control.recording.export import export, to_csv, to_mcap
 from control.recording.reading import RecordError, Recording
 from control.recording.record import FileSink, Layout
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from hil_mocks.scenario import CameraTable
 from tests.cell import FRICTION, RIGHT, holding_cell, run_numbers, scenario
 from tests.recordings import write_recording

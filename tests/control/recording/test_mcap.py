@@ -16,8 +16,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Link, Tool
 from control.model.description import arm_text, load_arm
 from control.recording import mcap_scene as scene
-from control.recording.export import to_mcap
-from control.recording.mcap_file import CycleChanges
+from control.recording.export import CycleChanges, to_mcap
 from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
 from control.recording.reading import Recording, recorded_arm
 from control.recording.record import END_FIELDS, LEAD_FIELD, Layout

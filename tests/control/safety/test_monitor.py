@@ -5,8 +5,19 @@ import re
 
 import pytest
 
-from control.safety.monitor import LOSES_ZERO, Fault, IllegalTransition, Monitor, Reaction
-from control.safety.table import TRANSITIONS, Event, Mode, legal_events, next_towards_off, table_text
+from control.safety.modes import (
+    LOSES_ZERO,
+    TRANSITIONS,
+    Event,
+    Fault,
+    IllegalTransition,
+    Mode,
+    Monitor,
+    Reaction,
+    legal_events,
+    next_towards_off,
+    table_text,
+)
 from tests.places import ROOT
 
 CONTROLLED = Fault("following_error", "joint 2", "0.2 rad behind its set-point", "free the arm", Reaction.CONTROLLED)

@@ -14,7 +14,7 @@ from control.motion.joint_move import JointMove
 from control.motion.pace import Stretched
 from control.motion.plan import Beside, plan_beside
 from control.motion.waypoints import Waypoints
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from tests.cell import FRICTION, scenario
 from tests.pair import PAIR, PERIOD_S, Pair, holding_pair
 

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.arms import SIX
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import MotionStopped
 from control.server.server import Server
 from procedures.on_boards import on_boards

@@ -18,7 +18,7 @@ from control.recording.cell_folder import join, recordings_in
 from control.recording.reading import Recording
 from control.server.channel import SocketChannel
 from control.server.client import ArmClient
-from hil_mocks.realtime import RealTimeCell
+from hil_mocks.rig import RealTimeCell
 from procedures.mock import wired_to
 from tests.control.server.test_process import SCENARIO, LIMIT_s, enable, patient, started
 from tests.pair import PAIR

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.printer import Printer
 from control.server.process import Events
 from hil_mocks.scenario import GripperTable

@@ -18,10 +18,10 @@ from control.model.arm import Arm
 from control.model.description import save_arm
 from control.recording.reading import Recording
 from control.recording.recorder_state import has_part, next_part
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient, RequestRefused
-from hil_mocks.realtime import RealTimeRig
+from hil_mocks.rig import RealTimeRig
 from procedures.mock import wired_to
 from tests.cell import RIGHT
 from tests.thirds import third_of

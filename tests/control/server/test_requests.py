@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from control.motion.plan import plan_path
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server import messages, requests
 from control.server.requests import Requests
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, open_cell, scenario

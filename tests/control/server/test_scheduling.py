@@ -13,8 +13,8 @@ from typing import cast
 
 import pytest
 
+from control.loop.arm_state import Punctuality
 from control.loop.drives import Bound
-from control.loop.parts import Punctuality
 from control.server.process import run
 from control.server.scheduling import ALGEBRA, COLLECT_EVERY_S, MOST_YOUNG, Collector, isolated_cpus, mapped, strain
 from control.server.server import Server

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from control.errors import ArmError
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.channel import ForeignFolder, RuntimeGone, SocketChannel, find_sockets, foreign_folders, socket_folders
 from control.server.messages import Asked
 from control.server.server import (

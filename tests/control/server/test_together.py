@@ -10,7 +10,7 @@ import pytest
 from control.model.cell import load_cell
 from control.motion.plan import plan_path
 from control.motion.waypoints import Waypoints
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server import cell_requests
 from tests.cell import FRICTION, scenario
 from tests.pair import APART, FREE, PAIR, PERIOD_S, Pair, holding_pair

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.servo import FASTEST_rad_s
 from tests.cell import FRICTION, RIGHT, Cell, holding_cell, scenario, with_drives
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import pytest
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.feedforward import Motor
+from control.dynamics.feedforward import Loads, Motor
 from control.dynamics.gains import Gains
-from control.dynamics.loads import Loads
 from control.hardware.interface import OutputMode
 from control.model.description import load_arm
 from control.motion.setpoint import SetPoint, at_rest

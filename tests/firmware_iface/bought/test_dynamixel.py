@@ -11,7 +11,7 @@ from benchmarks.loop.memory_link import byte_pair
 from firmware_iface import dynamixel_wire
 from firmware_iface.dynamixel import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardRefused, BoardSilent, MisuseError, WrongIdentity
-from firmware_iface.servo_line import Instruction
+from firmware_iface.smart_servo import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup, status_packet
 
 GOLDEN = {

@@ -8,7 +8,7 @@ from benchmarks.loop.memory_link import byte_pair
 from firmware_iface import feetech_wire
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.feetech import CURRENT_UNIT_A, FeetechLine, FeetechServo
-from firmware_iface.servo_line import Instruction
+from firmware_iface.smart_servo import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
 GOLDEN = {

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_iface import dynamixel_wire
 from firmware_iface.dynamixel import MODELS, WITH_LOAD
-from firmware_iface.servo_line import Instruction
+from firmware_iface.smart_servo import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 
 sdk = pytest.importorskip("dynamixel_sdk")

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from firmware_iface import feetech_wire
-from firmware_iface.servo_line import Instruction
+from firmware_iface.smart_servo import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
 sdk = pytest.importorskip("scservo_sdk")

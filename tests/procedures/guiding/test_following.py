@@ -9,7 +9,7 @@ import pytest
 from control.errors import ArmError
 from control.model.cell import Placed
 from control.model.description import load_arm
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from control.server.client import MotionStopped
 from procedures.guiding import Following, mirror_signs
 from tests.cell import FRICTION, scenario

@@ -10,7 +10,7 @@ import pytest
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.motion.joint_limits import JointLimits
-from control.safety.table import Mode
+from control.safety.modes import Mode
 from procedures.guiding import Guided, guided_motion, replayed
 from tests.cell import RIGHT, STRETCHED, holding_cell
 from tests.recordings import write_recording
