@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.arm_problem.assembly import Choice
-from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, write_calibrated_arm, write_calibration_json
-from calib.calibration.calibrate import calibrate as calibrated
-from calib.calibration.report import calibration_report, judgement_json, summary_text
+from calib.calibration import Calibrated, CalibrationPlan, LeaveOut, write_calibrated_arm, write_calibration_json
+from calib.calibration import calibrate as calibrated
+from calib.calibration_report import calibration_report, judgement_json, summary_text
 from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.points.points import Points

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.observations import cross_matrix
 from calib.arrays import Array, Mask
 from calib.gap.plan.motions import collision_free_box
 from calib.gap.plan.plan import MARGIN_rad, NamedPose, PlanExtent, PlannedVisit, RecordingPlan, plan_of, static_poses

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.iso9283.criteria.pose import Iso9283Error
 from calib.iso9283.evaluation import evaluate
+from calib.iso9283.pose_criteria import Iso9283Error
 from calib.iso9283.programme import (
     Extent,
     PathRun,
@@ -32,9 +32,8 @@ from calib.iso9283.programme import (
 )
 from calib.iso9283.recorded import BESIDE, SET, PoseGroup, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document, write_page
-from calib.points.arm_points import require_recorded_of
 from calib.points.points import TIP
-from calib.points.reading import read_points
+from calib.points.reading import read_points, require_recorded_of
 from calib.points.writer import PointsWriter, cell
 from calib.results import InputFile, input_file, made_today
 from calib.session.take import SessionSettings

@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.errors import CalibrationError
 from control.errors import ArmError
 from control.files import write_whole

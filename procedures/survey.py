@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.assembly import base_frame_of
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arrays import frozen
 from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points

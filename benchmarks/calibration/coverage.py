@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.studies import add_options
 from calib.arm_problem.arm_model import ArmModel, dh_names
-from calib.arm_problem.frames import Frame
-from calib.arm_problem.observations import Observations
+from calib.arm_problem.observations import Frame, Observations
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen
 from calib.identify.determinability import Sensitivity, determinability

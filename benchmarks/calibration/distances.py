@@ -15,8 +15,8 @@ import numpy as np
 from calib.arm_problem.assembly import Choice
 from calib.arrays import Array, norms
 from calib.boards import best_motion
-from calib.distances.calibrate import DistancePlan, DistancesFound, calibrate_with_distances
-from calib.distances.problem import WireKnowledge
+from calib.distance_calibration import DistancePlan, DistancesFound, calibrate_with_distances
+from calib.distances import WireKnowledge
 from calib.points.points import Points, make_points
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm

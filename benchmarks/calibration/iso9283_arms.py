@@ -18,7 +18,7 @@ from benchmarks.gap.static.physics import Hidden
 from benchmarks.gap.static.rough_cases import Rough, several
 from benchmarks.studies import add_options
 from calib.arrays import Array
-from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.calibration import CalibrationPlan, calibrate
 from calib.errors import UnusablePointsError
 from calib.iso9283.programme import Visit, largest_cube, pose_programme
 from calib.points.points import make_points

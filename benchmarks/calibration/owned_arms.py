@@ -29,10 +29,10 @@ from armwright.mock import mock_arm
 from benchmarks.studies import add_options
 from calib.arm_import import arm_links, read_arm
 from calib.arm_problem.assembly import with_own_base
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.arrays import Array, norms
 from calib.boards import best_motion
-from calib.calibration.calibrate import points_in_base
+from calib.calibration import points_in_base
 from calib.design.candidates import joint_box, spread_poses
 from calib.export import exported
 from calib.studies import executor

@@ -20,12 +20,12 @@ import numpy as np
 
 from benchmarks.studies import add_options
 from calib.arrays import Array
-from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.calibration import CalibrationPlan, calibrate
 from calib.gap.plan.plan import GENTLE, PlanRequest, recording_plan
-from calib.planning.search import Freedom, WayOfPath, WayOfStops, planned_path, planned_stops
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.studies import executor
+from calib.task_planning import Freedom, WayOfPath, WayOfStops, planned_path, planned_stops
 from calib.trust.trust import MapRequest, trust_in
 from control.model.arm import Arm, Vector3
 from control.model.description import load_arm

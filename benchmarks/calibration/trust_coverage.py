@@ -22,7 +22,7 @@ from benchmarks.gap.static.rough_cases import Rough, several
 from benchmarks.studies import add_options
 from calib.arm_problem.assembly import Choice
 from calib.arrays import Array
-from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.calibration import CalibrationPlan, calibrate
 from calib.design.candidates import workspace_poses
 from calib.points.points import Points, make_points
 from calib.studies import executor

@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from calib.arm_import.links import arm_links, friction_effects
-from calib.arm_import.tree import SerialArm, Tree, serial_arm
+from calib.arm_import.serial_arm import SerialArm, Tree, arm_links, friction_effects, serial_arm
 
 __all__ = ["FORMS", "SerialArm", "arm_links", "friction_effects", "read_arm"]
 

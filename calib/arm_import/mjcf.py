@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from calib.arm_import.safe_xml import Element, read_xml
-from calib.arm_import.tree import Kind, Mass, Tree, TreeJoint, TreeLink
+from calib.arm_import.serial_arm import Kind, Mass, Tree, TreeJoint, TreeLink
 from calib.arrays import Array
 from calib.errors import ImportedModelError
 

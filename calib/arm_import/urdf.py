@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from calib.arm_import.safe_xml import Element, read_xml
-from calib.arm_import.tree import Kind, Mass, Tree, TreeJoint, TreeLink, possible_inertia
+from calib.arm_import.serial_arm import Kind, Mass, Tree, TreeJoint, TreeLink, possible_inertia
 from calib.arrays import Array
 from calib.errors import ImportedModelError
 from control.model.rules import ANGLE, LENGTH, LIMIT, Rule

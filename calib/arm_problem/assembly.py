@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel, Bounds
-from calib.arm_problem.frames import Frame, cross_matrix, rotation_of
 from calib.arm_problem.joint_effects import FOLLOW_LOADS, corrections, effect_key, known_corrections, resting_points, with_effects
 from calib.arm_problem.link_bending import FLEXURE, known_bending
-from calib.arm_problem.observations import Correction, Observations
+from calib.arm_problem.observations import Correction, Frame, Observations, cross_matrix, rotation_of
 from calib.arm_problem.posed import TARGET
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arrays import Array, frozen

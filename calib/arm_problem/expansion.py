@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import Parameter
-from calib.arm_problem.frames import left_jacobian, turned_slope
+from calib.arm_problem.observations import left_jacobian, turned_slope
 from calib.arrays import Array, slim_product
 
 ALL = slice(None)

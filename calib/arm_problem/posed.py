@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from calib.arm_problem.arm_model import Bounds, Parameter
 from calib.arm_problem.expansion import ALL, Expanded, Problem
-from calib.arm_problem.frames import Frame, left_jacobian, mean_rotation, rotation_of
+from calib.arm_problem.observations import Frame, left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.problem import ArmProblem, Turns
 from calib.arrays import Array
 from control.kinematics.rotation import cross_matrices, logarithms

@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel, Bounds, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.expansion import ALL, Expansion
-from calib.arm_problem.frames import AXIS_UNITS, Frame, cross_matrix, left_jacobian, rotation_of
-from calib.arm_problem.observations import Observations
+from calib.arm_problem.observations import AXIS_UNITS, Frame, Observations, cross_matrix, left_jacobian, rotation_of
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from control.kinematics.rotation import exponentials

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from calib.arm_problem.arm_model import ANGLE_BOUND_rad, ArmModel, LENGTH_BOUND_m
-from calib.arm_problem.frames import cross_matrix, rotation_of
+from calib.arm_problem.observations import cross_matrix, rotation_of
 from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.capture.tracks import BodyTrack, CaptureError, Mask

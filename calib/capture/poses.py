@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.frames import mean_rotation
+from calib.arm_problem.observations import mean_rotation
 from calib.arrays import Array, frozen, norms
 from calib.boards import Markers
 from calib.capture.alignment import Alignment, JointMotion

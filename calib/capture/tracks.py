@@ -14,7 +14,7 @@ from struct import error, unpack_from
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.frames import mean_rotation
+from calib.arm_problem.observations import mean_rotation
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from control.files import read_bytes

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame, rotation_of
+from calib.arm_problem.observations import Frame, rotation_of
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
 from calib.closed_chain.pair_problem import BASE, Contacts, PairPlan, PairProblem, names_of

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from calib.arm_problem.arm_model import prior_sd
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.pair_problem import Contacts, PairProblem
 from calib.closed_chain.planning import Poses, SharedRoom

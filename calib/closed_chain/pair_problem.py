@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel, Bounds, Parameter, dh_parameters, require_known_names
-from calib.arm_problem.frames import Frame, cross_matrix, left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.joint_effects import known_corrections
+from calib.arm_problem.observations import Frame, cross_matrix, left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.posed import in_threes, inverse_jacobians
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms

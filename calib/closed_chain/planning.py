@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.calibrate import choose_contacts
 from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem, contact_points

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arrays import Array, frozen
 from calib.boards import best_motion
 from calib.errors import CalibrationError

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import Parameter, dh_names
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.observations import cross_matrix
 from calib.arm_problem.posed import TARGET_NAMES, PosedProblem
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem
 from calib.arrays import Array, frozen

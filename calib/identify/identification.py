@@ -17,8 +17,7 @@ from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.identify.descent import Prior
 from calib.identify.determinability import NOTICEABLE, Determinability, Sensitivity, Undetermined, determinability, open_in_words
-from calib.identify.noise import NoiseScale, leverages, noise_scale
-from calib.identify.objective import Objective, SumOfDistances, value_of
+from calib.identify.objective import NoiseScale, Objective, SumOfDistances, leverages, noise_scale, value_of
 from calib.identify.solver import Accuracy, Minimum, minimise
 
 # Each parameter with its standard deviation and interval, considering bounds.

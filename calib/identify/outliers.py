@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.observations import cross_matrix
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen, norms
 from calib.identify.linear_fit import LinearFit, Mask

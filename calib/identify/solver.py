@@ -22,8 +22,7 @@ from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.descent import NOTHING_M, PoseSample, Prior, SearchEnd, Termination, descend
 from calib.identify.determinability import Sensitivity, determinability, null_space
-from calib.identify.noise import NoiseScale, leverages, noise_scale
-from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
+from calib.identify.objective import Huber, LeastSquares, NoiseScale, Objective, SumOfDistances, leverages, noise_scale
 from calib.settling import FITS_MOST, Settling
 
 # The constraint E <= k a of SpringerPlus 5:1771, eq. (4): the mean distance over the k points is at most a.

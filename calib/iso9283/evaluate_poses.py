@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from calib.arrays import Array
-from calib.iso9283.criteria import pose
-from calib.iso9283.criteria.pose import Compliance, Iso9283Error, static_compliance
+from calib.iso9283 import pose_criteria
+from calib.iso9283.pose_criteria import Compliance, Iso9283Error, static_compliance
 from calib.iso9283.recorded import PoseGroup
 from calib.iso9283.result import Criterion, Figure, criterion, with_headlines
 from control.plain_text import first_of
@@ -47,19 +47,19 @@ def _pose_figures(group: PoseGroup) -> list[Figure]:
     n, where = len(group.attained_m), _named(group)
     figures = []
     if n:
-        accuracy = pose.pose_accuracy(group.commanded_m, group.attained_m)
+        accuracy = pose_criteria.pose_accuracy(group.commanded_m, group.attained_m)
         figures.append(Figure("AP_p", accuracy.total_m, "m", where, n))
     if n >= 2:
-        figures.append(Figure("RP_l", pose.pose_repeatability(group.attained_m), "m", where, n))
+        figures.append(Figure("RP_l", pose_criteria.pose_repeatability(group.attained_m), "m", where, n))
     if group.angle_rad is not None and group.angle_set_rad is not None:
         figures += _orientation_figures(group.angle_set_rad, group.angle_rad, where)
     return figures
 
 
 def _orientation_figures(commanded_rad: Array, attained_rad: Array, where: str) -> list[Figure]:
-    n, criteria = len(attained_rad), {"AP": pose.orientation_accuracy(commanded_rad, attained_rad)}
+    n, criteria = len(attained_rad), {"AP": pose_criteria.orientation_accuracy(commanded_rad, attained_rad)}
     if n >= 2:
-        criteria["RP"] = pose.orientation_repeatability(attained_rad)
+        criteria["RP"] = pose_criteria.orientation_repeatability(attained_rad)
     return [
         Figure(f"{symbol}_{letter}", float(value), "rad", where, n)
         for symbol, values in criteria.items()
@@ -78,7 +78,7 @@ def direction_criterion(groups: Groups) -> Criterion:
         if len(directions) < 3:
             needs.append(f"{point} approached from three perpendicular directions; got {', '.join(directions)}")
         if len(directions) >= 2:
-            value = pose.multidirectional_variation(list(directions.values()))
+            value = pose_criteria.multidirectional_variation(list(directions.values()))
             count = min(len(attained) for attained in directions.values())
             figures.append(Figure("vAP_p", value, "m", point, count))
     if not by_point:
@@ -103,10 +103,10 @@ def distance_criterion(groups: Groups) -> Criterion:
     needs = _unseen((first, second))
     attained = first.attained_m[:n], second.attained_m[:n]
     where = f"P2 to P4 ({first.setup})"
-    accuracy = pose.distance_accuracy(first.commanded_m, second.commanded_m, *attained)
+    accuracy = pose_criteria.distance_accuracy(first.commanded_m, second.commanded_m, *attained)
     figures = _with_axes("AD", accuracy, where, n)
     if n >= 2:
-        figures += _with_axes("RD", pose.distance_repeatability(*attained), where, n)
+        figures += _with_axes("RD", pose_criteria.distance_repeatability(*attained), where, n)
     else:
         needs.append("for the distance repeatability a second visit of P2 and P4; there is one")
     return criterion(3, with_headlines(figures, ("AD", "RD")), needs)
@@ -120,7 +120,7 @@ def drift_criterion(groups: Groups) -> Criterion:
             6, (), ("the same pose measured again after a time (eight hours in the standard): setups drift_1, drift_2, ...",)
         )
     first, last = sets[0], sets[-1]
-    change = pose.drift(first.commanded_m, first.attained_m, last.attained_m)
+    change = pose_criteria.drift(first.commanded_m, first.attained_m, last.attained_m)
     lasted_s = float(last.t_s.mean() - first.t_s.mean())
     where = f"P1 after {lasted_s:.0f} s" if np.isfinite(lasted_s) else "P1 from the first set to the last"
     n = min(len(first.attained_m), len(last.attained_m))
@@ -155,7 +155,7 @@ def exchange_criterion(groups: Groups, others: Mapping[str, Groups]) -> Criterio
                 " programme (--cube-centre and --cube-edge)"
             )
         clouds.append(visit.attained_m)
-    value = pose.exchangeability(clouds)
+    value = pose_criteria.exchangeability(clouds)
     figure = Figure("E", value, "m", f"P1, {len(clouds)} arms", min(map(len, clouds)))
     return criterion(7, with_headlines([figure]), needs)
 
@@ -203,7 +203,7 @@ def _first(groups: Groups) -> PoseGroup | None:
     return next(found, None)
 
 
-def _with_axes(symbol: str, value: pose.PoseAccuracy, where: str, n: int) -> list[Figure]:
+def _with_axes(symbol: str, value: pose_criteria.PoseAccuracy, where: str, n: int) -> list[Figure]:
     axes = [Figure(f"{symbol}_{a}", float(v), "m", where, n) for a, v in zip(AXES, value.axes_m, strict=True)]
     return [Figure(symbol, value.total_m, "m", where, n), *axes]
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.iso9283 import evaluate_poses as of_poses
-from calib.iso9283.criteria import path, pose
-from calib.iso9283.criteria.pose import Iso9283Error, above_zero
+from calib.iso9283 import path_criteria as path
+from calib.iso9283 import pose_criteria
+from calib.iso9283.pose_criteria import Iso9283Error, above_zero
 from calib.iso9283.recorded import CAMERA, ENCODERS, NO_LOG, PoseGroup, RecordedRun
 from calib.iso9283.result import Criterion, Evaluation, Figure, PathTrace, SettlingTrace, criterion, with_headlines
 
@@ -100,7 +101,7 @@ def settling_criteria(runs: Sequence[RecordedRun], bands: Bands | None) -> tuple
             except Iso9283Error as error:
                 needs.append(f"run {run.number} by the {source}: {error}")
         if cycles:
-            t, ov = pose.mean_of_cycles([c.time_s for c in cycles]), max(c.overshoot_m for c in cycles)
+            t, ov = pose_criteria.mean_of_cycles([c.time_s for c in cycles]), max(c.overshoot_m for c in cycles)
             by = "" if source == CAMERA else f" ({ENCODERS})"
             times.append(Figure(f"t{by}", t, "s", f"P1, {source}", len(cycles), True, remark))
             peaks.append(Figure(f"OV{by}", ov, "m", f"P1, {source}", len(cycles), True, remark))
@@ -117,11 +118,11 @@ class _Settled:
 
 def _settled(run: RecordedRun, source: str, band_m: float) -> _Settled:
     time_s, tip_m = run.measured(source)
-    rest_m = pose.rest_position(time_s, tip_m, REST_s)
+    rest_m = pose_criteria.rest_position(time_s, tip_m, REST_s)
     distance = norms(tip_m - rest_m)
     arguments = (time_s, tip_m, rest_m, band_m)
     trace = SettlingTrace(f"P1, {source}", frozen(time_s - run.moving_s[0]), frozen(distance), band_m)
-    return _Settled(pose.stabilization_time(*arguments), pose.overshoot(*arguments), trace)
+    return _Settled(pose_criteria.stabilization_time(*arguments), pose_criteria.overshoot(*arguments), trace)
 
 
 def _band(runs: Sequence[RecordedRun], source: str, bands: Bands) -> tuple[float, str]:
@@ -160,8 +161,8 @@ def posing_criterion(runs: Sequence[RecordedRun], bands: Bands | None) -> Criter
         distance = round(1e3 * float(np.linalg.norm(run.set_m[-1] - run.set_m[0])))
         try:
             time_s, tip_m = run.measured(source)
-            rest_m = pose.rest_position(time_s, tip_m, REST_s)
-            value = pose.posing_time(time_s, tip_m, run.moving_s[0], rest_m, band_m)
+            rest_m = pose_criteria.rest_position(time_s, tip_m, REST_s)
+            value = pose_criteria.posing_time(time_s, tip_m, run.moving_s[0], rest_m, band_m)
             by_distance.setdefault(distance, []).append(value)
         except Iso9283Error as error:
             needs.append(f"run {run.number}: {error}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.iso9283.criteria.pose import Iso9283Error, above_zero, position
+from calib.iso9283.pose_criteria import Iso9283Error, above_zero, position
 from control.errors import ArmError
 from control.kinematics.inverse import BRANCHES, InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from calib.arm_problem.assembly import Choice
 from calib.arm_problem.checks import require_columns_meant, require_of_arm
-from calib.arm_problem.frames import mean_rotation
+from calib.arm_problem.observations import mean_rotation
 from calib.arrays import Array, frozen
-from calib.iso9283.criteria.pose import Iso9283Error
+from calib.iso9283.pose_criteria import Iso9283Error
 from calib.points.points import TIP, Points, make_points
 from calib.points.reading import IMPORT, beyond
 from calib.results import array_in, read_json

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.iso9283.criteria.pose import pose_repeatability
+from calib.iso9283.pose_criteria import pose_repeatability
 from calib.report.page import PLANNED, Cell, Section, bullets, page, svg, table
 from calib.report.report import inputs_section
 from calib.results import Provenance, entries, write_json

@@ -1,4 +1,6 @@
-"""Reading points.csv: the declaration of its columns, and `Points` of a file; an error names file, line and column."""
+"""Reading points.csv: the declaration of its columns, and `Points` of a file, or of all files of one arm; an error names file,
+line and column. Files that were recorded with another arm are refused.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.errors import PointsFileError
-from calib.points.points import COVARIANCE, ORIENTATION, POSITION, TIP, TURN, Points, is_covariance, make_points
+from calib.errors import PointsFileError, UnusablePointsError
+from calib.points.points import (
+    COVARIANCE,
+    ORIENTATION,
+    OWN_FRAMES,
+    POSITION,
+    TIP,
+    TURN,
+    Points,
+    is_covariance,
+    joined,
+    make_points,
+)
+from control.files import parsed_json, read_text
+from control.model.arm import Arm
 from control.tables import WHOLE_LARGEST, ColumnGroup, TableColumn, TableContent, TableFormat, Wrong, read_table
 
 IMPORT = ": `armwright import-points` reads it and makes a points.csv"
@@ -118,3 +133,65 @@ def _require_covariances(table: TableContent, names: Sequence[str]) -> None:
             raise PointsFileError(
                 f"{table.place(row)}: {names[0]} to {names[-1]}: expected a positive definite covariance, got {numbers}"
             )
+
+
+RECORDS = ("session.json", "plan.json", "programme.json")  # files that our recordings write beside points.csv
+
+
+def base_points_for(arm: Arm, files: Sequence[Path], what: str, is_as_given: bool = False) -> tuple[Points, tuple[str, ...]]:
+    """As `points_for`, but UnusablePointsError for points in a camera's frame, which `what` cannot use."""
+    points, warnings = points_for(arm, files, is_as_given)
+    if points.in_camera_frame:
+        raise UnusablePointsError(
+            f"{what}: the points are in a camera's frame of unknown place: calibrate with them first, then give the calibrated"
+            " arm.toml and the points_base.csv that `armwright calibrate` writes beside it"
+        )
+    return points, warnings
+
+
+def points_for(arm: Arm, files: Sequence[Path], is_as_given: bool = False) -> tuple[Points, tuple[str, ...]]:
+    """Read and concatenate the points of all files; also returns warnings. `is_as_given`: as of `Points`.
+
+    PointsFileError names file, line and column; UnusablePointsError for a file of another arm. Users of the points
+    check the values of the columns (`calib.arm_problem.checks.require_of_arm`).
+    """
+    for file in files:
+        require_recorded_of(arm, file)
+    read = [read_points(file, arm.joint_count) for file in files]
+    _require_one_frame(files, [part for part, _ in read])
+    whole = replace(joined([part for part, _ in read]), is_as_given=is_as_given)
+    return whole, tuple(sentence for _, warnings in read for sentence in warnings)
+
+
+def _require_one_frame(files: Sequence[Path], parts: Sequence[Points]) -> None:
+    """UnusablePointsError for points of a camera's frame among others."""
+    own = [name for part in parts for name in part.extra.get("frame", ()) if name in OWN_FRAMES]
+    first = own[0] if own else ""
+    for file, part in zip(files, parts, strict=True):
+        frames = part.extra.get("frame", ("",) * len(part))
+        if first and set(frames) != {first}:
+            raise UnusablePointsError(
+                f'{file}: points in a camera\'s frame (column frame: "{first}") and others cannot be used together: give'
+                " the files of one frame"
+            )
+
+
+def require_recorded_of(arm: Arm, file: Path) -> None:
+    """UnusablePointsError if the record beside the points names another arm."""
+    for name in RECORDS:
+        recorded = _arm_in(file.parent / name)
+        if recorded is not None and recorded != arm.name:
+            raise UnusablePointsError(
+                f'{file}: expected points of arm "{arm.name}", got points of "{recorded}" according to {name} beside it: give'
+                f' the file of "{recorded}" with --arm, or points of "{arm.name}"'
+            )
+
+
+def _arm_in(file: Path) -> str | None:
+    """The arm's name in one of our files; None if it cannot be read."""
+    try:
+        content = parsed_json(read_text(file))
+    except (OSError, ValueError):
+        return None
+    name = content.get("arm") if isinstance(content, dict) else None
+    return name if isinstance(name, str) else None

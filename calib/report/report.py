@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arm_problem.frames import rotation_vector
+from calib.arm_problem.observations import rotation_vector
 from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.arrays import Array, norms
 from calib.identify.identification import Estimate, Identification

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arm_problem.assembly import base_frame_of
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.arrays import Array, norms
 from calib.boards import BoardPose, best_motion, pose_jacobian
 from control.kinematics.chain import tips_and_dh_jacobian

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel, dh_names, prior_sd
-from calib.arm_problem.frames import cross_matrix
+from calib.arm_problem.observations import cross_matrix
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arrays import Array
 from calib.trust.discrepancy import Conditions, Discrepancy

@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.arm_problem.link_bending import known_bending
 from calib.arrays import Array, norms
-from calib.iso9283.criteria import pose
+from calib.iso9283 import pose_criteria
 from calib.iso9283.evaluate_poses import is_pose_setup
 from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points
@@ -69,8 +69,8 @@ def pose_figures(predictor: Predictor, arm: Arm, points: Points, path: Path) -> 
                 len(rows),
                 _figure(norms(off.mean(axis=1))),
                 _figure(_repeatability(off)) if len(rows) > 1 else None,
-                pose.pose_accuracy(group.commanded_m, attained).total_m if n else None,
-                pose.pose_repeatability(attained) if n > 1 else None,
+                pose_criteria.pose_accuracy(group.commanded_m, attained).total_m if n else None,
+                pose_criteria.pose_repeatability(attained) if n > 1 else None,
             )
         )
     return tuple(figures)
@@ -92,7 +92,7 @@ def _drawn(predictor: Predictor, at: Conditions, commanded_m: Array) -> Array:
 def _repeatability(off: Array) -> Array:
     """RP_l of each draw (d,)."""
     lengths = np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=2)
-    return np.asarray(lengths.mean(axis=1) + pose.SIGMAS * lengths.std(axis=1, ddof=1))
+    return np.asarray(lengths.mean(axis=1) + pose_criteria.SIGMAS * lengths.std(axis=1, ddof=1))
 
 
 def _figure(drawn: Array) -> IntervalFigure:

@@ -17,9 +17,9 @@ import numpy.typing as npt
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import BASE, CAMERA, Choice, base_frame_of, observations_of, started_tool
 from calib.arm_problem.checks import require_of_arm
-from calib.arm_problem.frames import Frame, mean_rotation
 from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.link_bending import known_bending
+from calib.arm_problem.observations import Frame, mean_rotation
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
 from calib.errors import CalibrationError

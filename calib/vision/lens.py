@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.arrays import Array, frozen
 from calib.vision.targets import SeenCorners, opencv
 from control.kinematics.rotation import cross_matrices

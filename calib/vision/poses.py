@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.arm_problem.frames import mean_rotation
+from calib.arm_problem.observations import mean_rotation
 from calib.arrays import Array, frozen
 from calib.boards import MARKERS
 from calib.errors import VisionError

@@ -34,7 +34,6 @@ from procedures.guiding import Following, mirror_signs, require_alike
 from procedures.ports import move_together
 from procedures.session import operator
 from procedures.session.mock_session import SCENARIO, MockPairHand, Names, mock_pair, pair_station
-from procedures.session.planning import OPTIONS
 
 KEEP = "keep"  # instead of a file of offsets
 TO_START_SPEED = 0.5  # of the joints' limits, to the first way-points
@@ -171,16 +170,8 @@ class _Steps:
         return not has_line()
 
 
-OF_BOTH = ("seat",)  # options that both kinds of session have
-
-
 def session_of_contacts(args: argparse.Namespace) -> int:
     """Start or resume a session of contacts, and run it until the operator ends it or all are done."""
-    for name in (*(option for option in OPTIONS if option not in OF_BOTH), "socket"):
-        if getattr(args, name) is not None:
-            raise SessionError(f"--{name} is for one arm at a board: with --cell, the contacts are in --contacts")
-    if args.has_arm:
-        raise SessionError("--arm is for one arm at a board: the arms are those of --cell")
     cell = load_cell(args.cell)
     names = pair_of(cell, args.arms)
     identity, interface = _identity(cell, names), operator.Interface.of(args)

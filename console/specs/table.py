@@ -4,14 +4,13 @@ from console.specs.assessing import ASSESSING, PLANNING
 from console.specs.calibrating import CALIBRATING, GAP
 from console.specs.files import FILES, VISUALISATION
 from console.specs.operating import CELLS, END_EFFECTOR, OPERATING
-from console.specs.recording import RECORDING
 from console.specs.trying import BRINGUP, TRYING
 
 GROUPS = {
     "try it without an arm": TRYING,
     "set up an arm": BRINGUP,
     "operate it": (*OPERATING, *CELLS, *END_EFFECTOR),
-    "calibrate it": (*RECORDING, *CALIBRATING),
+    "calibrate it": CALIBRATING,
     "know how far to trust it": (*ASSESSING, *PLANNING),
     "find what the model lacks": GAP,
     "files and recordings": (*FILES, *VISUALISATION),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.arm_problem.assembly import problem_of
 from calib.arrays import norms
-from calib.calibration.calibrate import verification_json, write_calibrated_arm, write_calibration_json
+from calib.calibration import verification_json, write_calibrated_arm, write_calibration_json
 from calib.identify.identification import Identification, identify
 from calib.points.points import Points
 from calib.points.reading import read_points

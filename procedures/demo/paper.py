@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, norms
-from calib.calibration.calibrate import write_calibrated_arm
+from calib.calibration import write_calibrated_arm
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter

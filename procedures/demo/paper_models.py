@@ -10,7 +10,7 @@ import numpy as np
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.joint_effects import known_corrections, unclear_flanks, unphysical
 from calib.arrays import Array
-from calib.calibration.calibrate import calibrated_arm
+from calib.calibration import calibrated_arm
 from calib.identify.identification import Identification, identify
 from calib.points.points import Points, make_points
 from calib.points.writer import PointsWriter, Record

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.arrays import Array, norms
 from calib.boards import best_motion
-from calib.calibration.calibrate import Calibrated, CalibrationPlan, calibrate, write_calibrated_arm
+from calib.calibration import Calibrated, CalibrationPlan, calibrate, write_calibrated_arm
 from calib.identify.identification import identify
 from calib.points.points import FREE, Points, make_points
 from calib.points.writer import write_points

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from calib.arm_import.dh_rows import Axis
-from calib.arm_import.tree import Mass, SerialArm, TreeJoint
+from calib.arm_import.serial_arm import Mass, SerialArm, TreeJoint
 from control.dynamics.dynamics import Dynamics
 from control.model import servos
 from control.model.arm import Arm, Drive, Home

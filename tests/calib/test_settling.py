@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.static.cases import Design, Hidden, designed
+from calib import calibration
 from calib.arm_problem.assembly import Choice
-from calib.calibration import calibrate
-from calib.calibration.calibrate import CalibrationPlan, about_settling, identified
+from calib.calibration import CalibrationPlan, about_settling, identified
 from calib.identify.objective import LeastSquares
 from calib.settling import FITS_MOST, JUDGED_BY, STEPS_MOST, Settling
 
@@ -78,8 +78,8 @@ def test_a_calibration_whose_fits_do_not_settle_says_so(monkeypatch) -> None:
     plan = CalibrationPlan(Choice(effects=("joint_compliance:2",)), LeastSquares(), starts_count=1)
     _, found = identified(arm, points, plan)
     assert about_settling(found) == []
-    monkeypatch.setattr(calibrate, "FITS_MOST", 1)
-    monkeypatch.setattr(calibrate, "SAME_sd", 1e-9)
+    monkeypatch.setattr(calibration, "FITS_MOST", 1)
+    monkeypatch.setattr(calibration, "SAME_sd", 1e-9)
     _, found = identified(arm, points, plan)
     (said,) = about_settling(found)
     assert f"{1e3 * found.unsettled_m:.2g} mm" in said

@@ -13,11 +13,10 @@ from calib.arm_import import read_arm
 from calib.boards import read_boards, read_markers
 from calib.capture.tracks import read_c3d, read_vicon_csv
 from calib.closed_chain.pair_problem import read_contacts
-from calib.distances.problem import has_readings, readings_of
+from calib.distances import has_readings, readings_of
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle, read_runs
-from calib.points.arm_points import points_for
-from calib.points.reading import read_points
+from calib.points.reading import points_for, read_points
 from calib.session.folder import JOURNAL, POINTS, SessionFolder
 from calib.session.moves import read_free_poses
 from calib.session.plan import SessionPlan, board_targets

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.points.points import make_points
 from calib.points.writer import write_points
 from calib.vision.poses import picture_name

@@ -32,13 +32,13 @@ from calib.arm_problem.assembly import BASE, Choice
 from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array, Mask
 from calib.boards import best_motion
-from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
+from calib.calibration import CalibrationPlan, calibrated_arm, identified
 from calib.errors import CalibrationError
 from calib.gap.finding import with_totals
 from calib.gap.poses.recordings import split
 from calib.gap.workflow import Recordings, find_gap_in, write_gap
-from calib.points.arm_points import base_points_for
 from calib.points.points import Points
+from calib.points.reading import base_points_for
 from calib.validation.verify import measuring_frame, predicted_tips
 from control.errors import ArmError
 from control.model.arm import Arm, Effect, Tool

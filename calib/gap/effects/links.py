@@ -13,8 +13,8 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
-from calib.arm_problem.frames import rotation_of, rotation_vector, seen_less_far_m
 from calib.arm_problem.link_bending import Bending, LinkFrames, beams, bending, cross, link_frames
+from calib.arm_problem.observations import rotation_of, rotation_vector, seen_less_far_m
 from calib.arrays import Array
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, in_poses, stated_kg, straight
 from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, Parameters

@@ -23,7 +23,7 @@ from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.joint_effects import along, node_values, spline_columns
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, rms
-from calib.calibration.calibrate import with_base_frame
+from calib.calibration import with_base_frame
 from calib.gap.effects.record import load_of
 from calib.gap.finding import MapCheck
 from calib.gap.poses.linear import Fit, along_joint, by_joints

@@ -10,7 +10,7 @@ import numpy as np
 from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.checks import require_usable
 from calib.arrays import Array, Mask, frozen
-from calib.calibration.calibrate import about_settling
+from calib.calibration import about_settling
 from calib.errors import UnusablePointsError
 from calib.gap.effects.record import load_of
 from calib.gap.poses.currents import SATURATED

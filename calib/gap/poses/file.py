@@ -17,7 +17,7 @@ import numpy as np
 from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.joint_effects import DRIFT, LAWS, effect_key, made_effects, node_values, resting_points, spline_columns
 from calib.arrays import Mask
-from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
+from calib.calibration import CalibrationPlan, calibrated_arm, identified
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.links import FRAME
 from calib.gap.finding import EffectName, Parameters, effect_of, with_totals

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.frames import seen_less_far_m
 from calib.arm_problem.link_bending import bending_m
+from calib.arm_problem.observations import seen_less_far_m
 from calib.arrays import Array
 from calib.gap.signals.body import ActingTerms, BodyTorques, is_seen_alone, sorted_terms
 from calib.gap.signals.following import YieldingJoints

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.ageing import geometry_of
 from calib.arm_problem.assembly import Choice
-from calib.calibration.calibrate import (
+from calib.calibration import (
     Calibrated,
     CalibrationPlan,
     LeaveOut,
@@ -18,16 +18,16 @@ from calib.calibration.calibrate import (
     write_calibrated_arm,
     write_calibration_json,
 )
-from calib.calibration.report import calibration_report, judgement_json, summary_text
+from calib.calibration_report import calibration_report, judgement_json, summary_text
 from calib.closed_chain.calibrate import calibrate_pair, choose_contacts, pair_text, placed_by, write_pair
 from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem, names_of, read_contacts
-from calib.distances.calibrate import DistancePlan, calibrate_with_distances, distances_json, distances_text
-from calib.distances.problem import WireKnowledge
+from calib.distance_calibration import DistancePlan, calibrate_with_distances, distances_json, distances_text
+from calib.distances import WireKnowledge
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named
-from calib.points.arm_points import points_for
 from calib.points.points import Points
+from calib.points.reading import points_for
 from calib.points.writer import write_points
 from calib.report.report import write_report
 from calib.results import InputFile, input_file, made_today

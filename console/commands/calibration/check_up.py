@@ -13,8 +13,8 @@ from calib.arm_problem.checks import require_of_arm
 from calib.checkup import POSES, checkup_plan, decide, decision_json, expectation_of, sentences
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
-from calib.points.arm_points import points_for
 from calib.points.points import Points
+from calib.points.reading import points_for
 from calib.results import write_json
 from console.commands.calibration.gap import REAL_SPEED, recorded
 from console.commands.calibration.options import length_m

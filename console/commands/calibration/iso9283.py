@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from calib.iso9283.criteria.pose import Iso9283Error
+from calib.iso9283.pose_criteria import Iso9283Error
 from calib.iso9283.programme import PROGRAMMES, Extent, TestCube, largest_cube
 from calib.iso9283.result import summary_text
 from console.commands.connection import in_control_of

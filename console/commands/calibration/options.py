@@ -16,7 +16,7 @@ from pathlib import Path
 
 from calib.ageing import FORMAT, Entry, GeometryRecord, Quantity, append_entry, measured_at, require_appendable
 from calib.arm_problem.arm_model import Bounds
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.boards import read_boards
 from calib.errors import CalibrationError
 from control.errors import ArmError

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib import task_files as path_files
 from calib.arm_problem.assembly import Choice
 from calib.closed_chain.pair_problem import DISTANCE_MOST_m
 from calib.closed_chain.planning import pair_of, plan_contacts, plan_text, write_contacts
@@ -16,11 +17,10 @@ from calib.design.candidates import CameraBox
 from calib.design.information import NAMES, Uncertainty
 from calib.design.planning import Plan, Request, in_words, known_to, plan_json, plan_poses, write_plan
 from calib.errors import CalibrationError
-from calib.planning import files as path_files
-from calib.planning.search import Freedom, StopsPlan, planned_path, planned_stops
-from calib.points.arm_points import base_points_for
 from calib.points.points import Points
+from calib.points.reading import base_points_for
 from calib.results import input_file, made_today
+from calib.task_planning import Freedom, StopsPlan, planned_path, planned_stops
 from calib.trust.prediction import Path as TaskPath
 from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.arm_problem.assembly import with_own_base, without_base
-from calib.distances.problem import WireKnowledge
+from calib.distances import WireKnowledge
 from calib.errors import CalibrationError
 from calib.report.report import Verification
 from calib.validation.verify import comparison_text

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.arms import SIX
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.calibrate import calibrate_pair
 from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem, read_contacts, turning

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arrays import frozen
 from calib.closed_chain.calibrate import calibrate_pair, choose_contacts, placed_by, remarks
 from calib.closed_chain.pair_problem import Contacts, PairPlan, PairProblem

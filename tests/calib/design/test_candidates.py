@@ -9,7 +9,7 @@ import pytest
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_points
 from benchmarks.calibration.design_trial import ARM, table_points
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.design.candidates import (
     FREE_HEIGHT_M,
     OTHER_TILTS,

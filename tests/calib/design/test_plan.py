@@ -18,7 +18,7 @@ from benchmarks.calibration.design_trial import (
     table_points,
 )
 from calib.arm_problem.assembly import Choice
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.design.candidates import CameraBox, boards_in_the_way, free_candidates, workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
 from calib.design.planning import Request, in_words, plan_json, plan_poses, write_plan

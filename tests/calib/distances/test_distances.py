@@ -20,10 +20,10 @@ from benchmarks.calibration.distances import (
     over_workspace_m,
     recorded,
 )
+from calib import distance_calibration as module
 from calib.arm_problem.assembly import Choice
-from calib.distances import calibrate as module
-from calib.distances.calibrate import DistancePlan, compare_lengths, distances_text
-from calib.distances.problem import WireKnowledge, readings_of
+from calib.distance_calibration import DistancePlan, compare_lengths, distances_text
+from calib.distances import WireKnowledge, readings_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.points.points import Points
 from calib.points.reading import read_points

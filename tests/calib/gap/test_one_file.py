@@ -12,7 +12,7 @@ from benchmarks.gap.static.cases import RIGS, Design, Hidden, designed
 from benchmarks.gap.static.file_score import MORE_RIGS, simulated
 from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
+from calib.calibration import CalibrationPlan, calibrated_arm, identified
 from calib.gap.finding import EffectName, GapFinding, NamedEffect, as_totals, updated_arm
 from calib.gap.poses.file import File, follows
 from calib.gap.poses.find import find

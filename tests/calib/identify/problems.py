@@ -4,8 +4,7 @@ import numpy as np
 
 from benchmarks.calibration.chains import MODIFIED, MODIFIED_DH, REFERENCE, REFERENCE_DH
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.frames import Frame, rotation_of
-from calib.arm_problem.observations import Correction, Observations
+from calib.arm_problem.observations import Correction, Frame, Observations, rotation_of
 from calib.arm_problem.problem import ArmProblem
 from tests.calib.arms import arm_of
 

@@ -9,8 +9,7 @@ import pytest
 from benchmarks.calibration.coverage import Session, studied
 from calib.identify.determinability import Sensitivity
 from calib.identify.identification import uncertainty
-from calib.identify.noise import leverages, noise_scale
-from calib.identify.objective import Huber, LeastSquares, SumOfCoordinates, SumOfDistances
+from calib.identify.objective import Huber, LeastSquares, SumOfCoordinates, SumOfDistances, leverages, noise_scale
 from tests.calib.simulated import RIGHT, board_points, problem_of, true_dh
 
 NONE = np.zeros((4000, 3, 3))

@@ -11,7 +11,7 @@ from benchmarks.arms import FIVE
 from benchmarks.calibration.chains import deviations
 from benchmarks.gap.static.cases import Design, Hidden, designed
 from calib.arm_problem.assembly import Choice
-from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
+from calib.calibration import CalibrationPlan, calibrated_arm, identified
 from calib.identify.objective import LeastSquares
 from calib.points.points import Points, make_points
 from calib.validation.verify import errors_of, predicted_tips

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from calib.arm_problem.assembly import Choice, lever_m, problem_of
 from calib.arm_problem.misread import doubts_of_turns
 from calib.arm_problem.posed import whole_problem
-from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.calibration import CalibrationPlan, calibrate
 from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify

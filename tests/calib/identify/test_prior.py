@@ -15,7 +15,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.joint_effects import made_effects
 from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.arrays import norms
-from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified, with_made_effects
+from calib.calibration import CalibrationPlan, calibrate, calibrated_arm, identified, with_made_effects
 from calib.gap.finding import with_totals
 from calib.gap.poses.find import find
 from calib.identify.descent import descend

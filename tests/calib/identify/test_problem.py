@@ -8,8 +8,7 @@ import pytest
 from benchmarks.calibration.chains import MODIFIED, MODIFIED_DH
 from calib.arm_problem.arm_model import ArmModel, Bounds
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.frames import Frame, left_jacobian, rotation_of, rotation_vector, turned_slope
-from calib.arm_problem.observations import Observations
+from calib.arm_problem.observations import Frame, Observations, left_jacobian, rotation_of, rotation_vector, turned_slope
 from calib.arm_problem.problem import ArmProblem
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.points.points import make_points

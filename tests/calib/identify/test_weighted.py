@@ -11,14 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.posed import whole_problem
-from calib.calibration.calibrate import CalibrationPlan, calibrate, points_in_base
+from calib.calibration import CalibrationPlan, calibrate, points_in_base
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify
 from calib.identify.objective import objective_named
 from calib.identify.solver import best_of_starts, prior_of
-from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import COVARIANCE, Points, make_points, matrices_of, triangles
-from calib.points.reading import read_points
+from calib.points.reading import base_points_for, points_for, read_points
 from calib.points.writer import write_points
 from calib.validation.verify import compare_arms
 from control.kinematics.kinematics import ForwardKinematics

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from calib.errors import UnusablePointsError
-from calib.iso9283.criteria.pose import Iso9283Error
 from calib.iso9283.evaluation import evaluate
+from calib.iso9283.pose_criteria import Iso9283Error
 from calib.iso9283.programme import TestCube, solver_of
 from calib.iso9283.recorded import BESIDE, SET, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, summary_text, write_document, write_page

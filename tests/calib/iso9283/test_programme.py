@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.iso9283 import programme as programmes
-from calib.iso9283.criteria.pose import Iso9283Error
+from calib.iso9283.pose_criteria import Iso9283Error
 from calib.iso9283.programme import CLEARANCE_m, Extent, PathRun, TestCube, Visit, largest_cube, solver_of, steps
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm

@@ -10,8 +10,9 @@ import pytest
 from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
-from calib.planning.files import path_lines, sentences, stop_lines, waypoints_text
-from calib.planning.search import (
+from calib.points.points import Points, make_points
+from calib.task_files import path_lines, sentences, stop_lines, waypoints_text
+from calib.task_planning import (
     NOWHERE,
     Freedom,
     PathPlan,
@@ -26,7 +27,6 @@ from calib.planning.search import (
     planned_stops,
     shifted,
 )
-from calib.points.points import Points, make_points
 from calib.trust.prediction import Predictor
 from calib.trust.trust import MapRequest, trust_in
 from control.errors import PathError

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_session
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import with_tilt_behind
-from calib.calibration.calibrate import verification_json, write_calibrated_arm, write_calibration_json
+from calib.calibration import verification_json, write_calibrated_arm, write_calibration_json
 from calib.errors import CalibrationError
 from calib.report.page import list_section
 from calib.report.pictures import SAMPLES_DRAWN, thinned

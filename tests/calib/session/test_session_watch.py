@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_points, board_session
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.observations import rotation_of
 from calib.session.residual_watch import ResidualWatch, TipObservation
 from control.model.arm import Effect
 from tests.calib.session.session_arm import RIGHT

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE
 from calib.arrays import Array
-from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.calibration import CalibrationPlan, calibrate
 from calib.points.points import Points, make_points
 from calib.studies import ChunkStore, InProcess, run_study
 from calib.tolerances.making import (

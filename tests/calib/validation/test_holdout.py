@@ -10,7 +10,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.joint_effects import known_corrections, resting_points
 from calib.arm_problem.link_bending import known_bending
 from calib.arrays import frozen, norms
-from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified
+from calib.calibration import CalibrationPlan, calibrate, calibrated_arm, identified
 from calib.errors import CalibrationError
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from calib.points.writer import write_points
+from console.commands.calibration.session import OPTIONS, plan_from_options
 from console.lines import Grammar, parse_lines
 from console.main import main
 from console.specs.table import COMMANDS
 from control.model.description import load_arm
-from procedures.session.planning import OPTIONS, plan_from_options
 from tests.calib.trust.test_trust import recorded
 
 PATH = "x_m,y_m,z_m\n0.45,0,0.2\n0.5,0.05,0.2\n0.55,0,0.2\n"

@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.arms import FOUR, SIX, TWO
 from calib.errors import CalibrationError
-from calib.iso9283.criteria import pose
+from calib.iso9283 import pose_criteria
 from calib.iso9283.programme import Extent, PathRun, TestCube
 from calib.points.reading import read_points
 from console.main import main
@@ -130,7 +130,7 @@ def test_accuracy_and_repeatability_are_those_of_the_true_tip_within_the_cameras
     for name, commanded in CUBE.poses().items():
         rows = [k for k, other in enumerate(points.point) if other == name]
         said = {f["symbol"]: f["value"] for f in figures if f["where"] == name}
-        true = pose.pose_accuracy(commanded, recorded.true_m[rows]).total_m
+        true = pose_criteria.pose_accuracy(commanded, recorded.true_m[rows]).total_m
         assert true > 5e-3  # the hidden geometry error
         assert said["AP_p"] == pytest.approx(true, abs=4 * noise_m / np.sqrt(2))
         # Two visits are equally far from their mean: RP is half their distance, of play (0.6 mrad at 0.5 m) and noise.

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.arm_problem.frames import Frame, rotation_of
-from calib.calibration.calibrate import with_placed_stream
+from calib.arm_problem.observations import Frame, rotation_of
+from calib.calibration import with_placed_stream
 from calib.points.reading import read_points
 from calib.session.conduct import Boards, Station, conduct
 from calib.session.conversation import GO, Recorded

@@ -12,9 +12,9 @@ import pytest
 
 from calib.arm_problem.arm_model import dh_names
 from calib.arm_problem.assembly import BASE_FRAME, Choice, problem_of
-from calib.arm_problem.frames import Frame, rotation_of
+from calib.arm_problem.observations import Frame, rotation_of
 from calib.arrays import Array
-from calib.calibration.calibrate import calibrated_arm
+from calib.calibration import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding, as_totals
 from calib.gap.log import Log, LoggedRun
 from calib.gap.series.find import DynamicOutcome, examine, find

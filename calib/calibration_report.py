@@ -2,6 +2,7 @@
 
 In: what `calibrate` found and the held-out comparison. Out: the verdict, its evidence, what the points
 determine, what to do next.
+
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.arm_problem.frames import Frame, rotation_vector
+from calib.arm_problem.observations import Frame, rotation_vector
 from calib.arrays import frozen
-from calib.calibration.calibrate import Calibrated
+from calib.calibration import Calibrated
 from calib.identify.identification import Estimate
 from calib.report.page import Section, bullets, paragraph, table
 from calib.report.report import NO_EFFECT, ReportData, frames_section, of_the_arm

@@ -12,7 +12,6 @@ import numpy as np
 
 from calib.arm_problem.assembly import BASE, BASE_FRAME, CAMERA, Choice, base_frame_of, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
-from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arm_problem.joint_effects import (
     LAWS,
     about_made_effects,
@@ -23,6 +22,7 @@ from calib.arm_problem.joint_effects import (
     unphysical,
     with_effects,
 )
+from calib.arm_problem.observations import Frame, rotation_vector
 from calib.arm_problem.posed import usual_noise_m
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen

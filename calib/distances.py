@@ -4,6 +4,7 @@ poses.
 In: points.csv with the columns `distance_of`, `distance_m` and perhaps `distance_sd_m`, and tips, if there
 are any. Out: residuals and derivatives in the arm's parameters and the devices' places, which are unknowns,
 too.
+
 """
 
 from __future__ import annotations

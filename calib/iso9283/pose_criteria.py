@@ -6,6 +6,7 @@ x_bar = 1/n sum x_j the barycentre of the attained. All positions are (n, 3) in 
 Settling (clauses 7.4 stabilization, 7.5 overshoot, 9 posing time): a recording is times (k,) [s] and positions (k, 3) [m] of one
 approach, long enough that its end is at rest. The limit band is a sphere of radius `band_m` about the attained pose: the pose
 repeatability in the standard, or the user's value.
+
 """
 
 from __future__ import annotations

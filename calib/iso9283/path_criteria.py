@@ -3,6 +3,7 @@
 A commanded path is m calculation points (m, 3); attained paths are n recordings, each (k, 3) in the order of time,
 k differing. Attained point (i, j) is where attained path j crosses the normal plane of the commanded path
 at its point i.
+
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, norms
-from calib.iso9283.criteria.pose import SIGMAS, Iso9283Error, above_zero, direction, position, positions, track
+from calib.iso9283.pose_criteria import SIGMAS, Iso9283Error, above_zero, direction, position, positions, track
 
 
 @dataclass(frozen=True, slots=True)

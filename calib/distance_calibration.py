@@ -3,6 +3,7 @@ out say of both.
 
 In: an arm and readings. Out: a calibrated arm and calibration.json, text for a terminal, and the comparison
 of two models on other readings.
+
 """
 
 from __future__ import annotations
@@ -15,22 +16,12 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, referenced
 from calib.arm_problem.expansion import Problem
-from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Frame
 from calib.arm_problem.posed import WeightedProblem, whole_problem
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arrays import Array, frozen
-from calib.calibration.report import estimate_lines
-from calib.distances.problem import (
-    BETWEEN,
-    GAUGE,
-    LEAST,
-    Device,
-    DistanceProblem,
-    Readings,
-    WireKnowledge,
-    devices_of,
-    readings_of,
-)
+from calib.calibration_report import estimate_lines
+from calib.distances import BETWEEN, GAUGE, LEAST, Device, DistanceProblem, Readings, WireKnowledge, devices_of, readings_of
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Sensitivity
 from calib.identify.identification import Estimate, Estimation, Identification, uncertainty

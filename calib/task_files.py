@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from calib.gap.plan.plan import GENTLE
-from calib.planning.search import NOWHERE, Cost, PathPlan, StopsPlan, WayOfPath, WayOfStops
 from calib.points.points import FREE, make_points
 from calib.points.writer import replace_file, write_points
 from calib.results import Provenance, entries, write_json
+from calib.task_planning import NOWHERE, Cost, PathPlan, StopsPlan, WayOfPath, WayOfStops
 from calib.trust.prediction import Reliability
 from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, SPEED_COLUMN, Waypoints
 

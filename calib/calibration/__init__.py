@@ -1,1 +1,0 @@
-"""The whole calibration: from points to a validated result and a calibrated arm."""

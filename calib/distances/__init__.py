@@ -1,1 +1,0 @@
-"""Distances as observations of an arm: draw wires, dial gauges, ball bars, and distances between two poses of the tip."""

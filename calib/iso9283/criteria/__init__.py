@@ -1,1 +1,0 @@
-"""The criteria of ISO 9283 as formulas, one file each."""
