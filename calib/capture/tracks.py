@@ -19,7 +19,7 @@ from calib.arrays import Array
 from calib.errors import CalibrationError
 from control.files import read_bytes
 from control.kinematics.rotation import exponentials, matrices
-from control.model.camera import CameraStream
+from control.model.end_effector import CameraStream
 from control.tables import SAMPLES_MOST, opened_rows
 
 Mask = npt.NDArray[np.bool_]

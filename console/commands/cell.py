@@ -29,11 +29,11 @@ from control.motion.setpoint import Motion
 from control.motion.waypoints import Waypoints, read_waypoints
 from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
+from procedures import session_operator
 from procedures.folders import require_writable
 from procedures.guiding import Following, mirror_signs, require_alike
+from procedures.mock_session import SCENARIO, MockPairHand, Names, mock_pair, pair_station
 from procedures.ports import move_together
-from procedures.session import operator
-from procedures.session.mock_session import SCENARIO, MockPairHand, Names, mock_pair, pair_station
 
 KEEP = "keep"  # instead of a file of offsets
 TO_START_SPEED = 0.5  # of the joints' limits, to the first way-points
@@ -174,7 +174,7 @@ def session_of_contacts(args: argparse.Namespace) -> int:
     """Start or resume a session of contacts, and run it until the operator ends it or all are done."""
     cell = load_cell(args.cell)
     names = pair_of(cell, args.arms)
-    identity, interface = _identity(cell, names), operator.Interface.of(args)
+    identity, interface = _identity(cell, names), session_operator.Interface.of(args)
     wanted = _wanted(args, cell, names, identity)
     require_writable(Path(args.out))
     if args.mock:
@@ -184,8 +184,8 @@ def session_of_contacts(args: argparse.Namespace) -> int:
             _introduce(folder, interface)
             with mock_pair(cell, folder, args.scenario) as bench:
                 hand = MockPairHand(cell, names, bench) if folder.plan.seat == "hand" else None
-                station = pair_station(cell, names, bench.clients, 1.0, operator.last_s(folder), hand)
-                words = operator.ContactWords(folder.plan, names)
+                station = pair_station(cell, names, bench.clients, 1.0, session_operator.last_s(folder), hand)
+                words = session_operator.ContactWords(folder.plan, names)
                 interface.conduct(folder, words, conduct(folder, station), hand is not None)
     else:
         if (Path(args.out) / SCENARIO).exists():
@@ -193,12 +193,12 @@ def session_of_contacts(args: argparse.Namespace) -> int:
         with connected_arms(args, names) as clients:
             for client in clients.values():
                 client.take_control()
-            status = {name: operator.ready(clients[name], name) for name in names}[names[0]]
+            status = {name: session_operator.ready(clients[name], name) for name in names}[names[0]]
             with _folder(args, wanted, identity) as folder:
                 _introduce(folder, interface)
-                since_s = operator.since_start_s(folder, status)
-                station = pair_station(cell, names, clients, operator.SPEED, since_s)
-                words = operator.ContactWords(folder.plan, names)
+                since_s = session_operator.since_start_s(folder, status)
+                station = pair_station(cell, names, clients, session_operator.SPEED, since_s)
+                words = session_operator.ContactWords(folder.plan, names)
                 interface.conduct(folder, words, conduct(folder, station), may_auto=False)
     return 0
 
@@ -206,7 +206,7 @@ def session_of_contacts(args: argparse.Namespace) -> int:
 def _folder(args: argparse.Namespace, wanted: SessionPlan | None, identity: str) -> SessionFolder:
     folder = SessionFolder(Path(args.out), wanted)
     try:
-        operator.require_same(folder, identity)
+        session_operator.require_same(folder, identity)
     except SessionError:
         folder.close()
         raise
@@ -231,6 +231,6 @@ def _identity(cell: Cell, names: Names) -> str:
     return hashlib.sha256("".join(fingerprint(cell.placed(name).arm) for name in names).encode()).hexdigest()
 
 
-def _introduce(folder: SessionFolder, interface: operator.Interface) -> None:
+def _introduce(folder: SessionFolder, interface: session_operator.Interface) -> None:
     plan = folder.plan
     interface.introduce(folder, f"contacts of {plan.arm}, tips brought together by {plan.seat}")

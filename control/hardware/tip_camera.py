@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from control.model.camera import Camera, CameraStream
+from control.model.end_effector import Camera, CameraStream
 from firmware_iface.camera import TIP_SOURCE, CameraReceiver
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError

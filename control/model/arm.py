@@ -16,7 +16,6 @@ from control.errors import ArmError, MissingModel
 from control.model import rules
 from control.model.board_kinds import KIND, KINDS, REFERENCE, BoardKind, usual_rate_Hz
 from control.model.board_kinds import CanBus as CanBus
-from control.model.camera import Camera as Camera
 from control.model.drive import ENCODER_CHANNELS as ENCODER_CHANNELS
 from control.model.drive import Drive as Drive
 from control.model.drive import DrivePid as DrivePid
@@ -25,6 +24,7 @@ from control.model.drive import LimitSwitches as LimitSwitches
 from control.model.drive import NonNegative, Positive
 from control.model.effects import EFFECTS, moved_joint
 from control.model.end_effector import NO_TOOL, Digital, Gripper
+from control.model.end_effector import Camera as Camera
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
 from control.model.maps import CorrectionMap

@@ -5,15 +5,13 @@ import re
 from collections.abc import Hashable, Iterable, Sequence
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Effect, Home, Table
-from control.model.board_kinds import KINDS, BoardKind, bus_conflict
-from control.model.camera import CameraStream
+from control.model.board_kinds import KINDS, SERVOS, BoardKind, bus_conflict
 from control.model.drive import OWN_INPUT, JointMap
 from control.model.effects import EFFECTS, EffectKind, parameter_names
-from control.model.end_effector import Gripper
+from control.model.end_effector import CameraStream, Gripper
 from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
-from control.model.servos import SERVOS
 from control.model.tolerances import check_tolerances, spreads
 
 LONGEST_JOG_SILENCE_S = 0.5

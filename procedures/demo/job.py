@@ -27,8 +27,8 @@ from control.model.arm import Arm, Table
 from control.plain_text import Advance
 from control.server.client import ArmClient
 from procedures.mock import MockBench
+from procedures.mock_session import arm_station
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
-from procedures.session.mock_session import arm_station
 from procedures.survey import SETUPS, Model, Programme, Survey, compared, paired, places, ways
 
 

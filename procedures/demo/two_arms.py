@@ -58,7 +58,7 @@ from control.plain_text import Advance
 from control.recording.reading import Recording
 from hil_mocks.scenario import load_scenario
 from procedures.mock import CellBench, as_bolted_down
-from procedures.session.mock_session import MockPairHand, pair_station
+from procedures.mock_session import MockPairHand, pair_station
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -36,7 +36,7 @@ from control.recording.reading import Recording
 from hil_mocks.scenario import load_scenario
 from procedures.bringup.procedure import Journal
 from procedures.gap_recording import RunFile
-from procedures.session.operator import BadCommand, parse_command
+from procedures.session_operator import BadCommand, parse_command
 
 RIGHT = load_arm("right")
 PLAN = SessionPlan("right", "00", 3, board_targets(["normal"], ["1", "2"]))

@@ -27,9 +27,9 @@ from control.server.client import ArmClient
 from control.tables import WHOLE_LARGEST, TableColumn, TableFormat, read_table
 from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
+from procedures.mock_session import SCENARIO, arm_station, mock_session
 from procedures.ports import RuntimePort
-from procedures.session.mock_session import SCENARIO, arm_station, mock_session
-from procedures.session.operator import SPEED, BoardWords, Interface, last_s, ready, require_same, since_start_s
+from procedures.session_operator import SPEED, BoardWords, Interface, last_s, ready, require_same, since_start_s
 
 OF_BOTH = ("seat",)  # options that both kinds of session have
 

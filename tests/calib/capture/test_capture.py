@@ -20,8 +20,8 @@ from calib.gap.log import read_log
 from calib.identify.identification import identify
 from calib.points.reading import read_points
 from console.main import main
-from control.model.camera import Camera, CameraStream
 from control.model.description import save_arm
+from control.model.end_effector import Camera, CameraStream
 from control.model.table import board_cavities, table_of
 from tests.calib.capture.recordings import (
     RIGHT,

@@ -19,8 +19,8 @@ from console.places import PlacesError, find_place, read_places, save_place
 from console.specs.table import COMMANDS
 from control.errors import ArmError
 from control.model.arm import Camera, Effect
-from control.model.camera import CameraStream
 from control.model.description import save_arm
+from control.model.end_effector import CameraStream
 from control.safety.modes import Mode
 from firmware_iface.mocap.bodies import RigidPose, compose
 from hil_mocks.scenario import EffectTable

@@ -17,7 +17,7 @@ from control.errors import ArmError
 from control.hardware.measurement import MeanPose
 from control.hardware.tip_camera import BodyCamera, open_camera
 from control.kinematics.rotation import matrices, quaternion_of
-from control.model.camera import Camera, CameraStream
+from control.model.end_effector import Camera, CameraStream
 from firmware_iface.clock import MonotonicClock
 from hil_mocks.assembly import MOCAP
 from hil_mocks.devices.cameras import BASE_m, BASE_turn_rad, TARGET_turn_rad, rotation_of

@@ -13,10 +13,9 @@ import pytest
 
 from benchmarks.arms import SIX
 from control.model.arm import Arm, Calibration, Camera, CanBus, Effect, EncoderBoardPort, Rest, Table, Tool
-from control.model.camera import CameraStream
 from control.model.cell import load_cell
 from control.model.description import arm_text, load_arm, parse_arm
-from control.model.end_effector import Digital, Gripper
+from control.model.end_effector import CameraStream, Digital, Gripper
 from control.model.fingerprint import NOT_COMPARED, AnotherArm, content_of, fingerprint, places_of, require_same
 from control.model.maps import CorrectionMap
 from control.model.reader import keys_of

@@ -16,7 +16,7 @@ from calib.session.folder import SessionFolder
 from control.model.cell import load_cell
 from control.recording.reading import Recording
 from procedures.mock import CellBench, as_bolted_down
-from procedures.session.mock_session import MockPairHand, pair_station
+from procedures.mock_session import MockPairHand, pair_station
 from tests.cell import scenario
 from tests.pair import APART
 

@@ -21,8 +21,8 @@ from calib.points.reading import read_points
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.rotation import logarithms, matrices, quaternions
-from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm
+from control.model.end_effector import Camera, CameraStream
 from hil_mocks.devices.cameras import BASE_m, BASE_turn_rad, TARGET_turn_rad
 from hil_mocks.devices.cameras import rotation_of as turn_of
 from procedures.gap_recording import note, record

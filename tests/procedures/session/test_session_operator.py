@@ -25,7 +25,7 @@ from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
 from hil_mocks.scenario import load_scenario
-from procedures.session.operator import (
+from procedures.session_operator import (
     HELP,
     Auto,
     BadCommand,

@@ -21,8 +21,8 @@ from console.main import main
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import matrices
 from control.model.arm import Effect
-from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm, save_arm
+from control.model.end_effector import Camera, CameraStream
 from hil_mocks.devices.cameras import BASE_m, BASE_turn_rad
 from hil_mocks.devices.cameras import rotation_of as turn_of
 from tests.calib.session.session_arm import ScriptedArm

@@ -6,6 +6,7 @@ In: lines from a terminal, a pipe or a script. Out: text, or for a program such 
  "board": [{"name": "13", "x_m": 0.02, "y_m": 0.0, "mark": "now"}, ...]}
 {"recorded": "normal 13", "text": "...", "error_mm": 20.77, "deviation_mm": 1.22, "deviation_sd": 0.8, "is_suspect": false}
 {"message": "...", "is_warning": false}
+
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """What sessions work with, and sessions with a stepped mock in this process: one arm and the hand that seats its tip, or a cell.
 
 The scenario is saved in the session's folder, so that a resumed session has the same arm.
+
 """
 
 from __future__ import annotations

@@ -1,1 +1,0 @@
-"""The operator's side of a calibration session: commands in, text out."""
