@@ -9,13 +9,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles_for, board_points, deviations
-from calib.ageing import FORMAT, Entry, YEAR_days, geometry_of, trend_of
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arrays import Array
 from calib.design.candidates import workspace_poses
+from calib.drift import YEAR_days
+from calib.history import FORMAT, Entry, geometry_of
 from calib.identify.identification import identify
 from calib.identify.objective import objective_named
 from calib.points.points import Points, make_points
+from calib.trend import trend_of
 from control.model.description import load_arm
 
 ARM = load_arm("right")

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
-from calib.ageing import read_history
 from calib.arm_import import read_arm
 from calib.boards import read_boards, read_markers
 from calib.capture.tracks import read_c3d, read_vicon_csv
 from calib.closed_chain.pair_problem import read_contacts
 from calib.distances import has_readings, readings_of
 from calib.gap.log import read_log
+from calib.history import read_history
 from calib.iso9283.recorded import read_rectangle, read_runs
 from calib.points.reading import points_for, read_points
 from calib.session.folder import JOURNAL, POINTS, SessionFolder

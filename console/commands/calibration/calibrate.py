@@ -7,7 +7,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from calib.ageing import geometry_of
 from calib.arm_problem.assembly import Choice
 from calib.calibration import (
     Calibrated,
@@ -25,6 +24,7 @@ from calib.distance_calibration import DistancePlan, calibrate_with_distances, d
 from calib.distances import WireKnowledge
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
+from calib.history import geometry_of
 from calib.identify.objective import objective_named
 from calib.points.points import Points
 from calib.points.reading import points_for

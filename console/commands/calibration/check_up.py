@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.ageing import as_text, read_history, trend_json, trend_of
 from calib.arm_problem.checks import require_of_arm
 from calib.checkup import POSES, checkup_plan, decide, decision_json, expectation_of, sentences
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
+from calib.history import read_history
 from calib.points.points import Points
 from calib.points.reading import points_for
 from calib.results import write_json
+from calib.trend import as_text, trend_json, trend_of
 from console.commands.calibration.gap import REAL_SPEED, recorded
 from console.commands.calibration.options import length_m
 from console.commands.progress import answer, warn

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.ageing import quantities_of
 from calib.errors import CalibrationError
 from calib.gap.finding import gap_content
 from calib.gap.report import GapOutcome
 from calib.gap.words import in_words
 from calib.gap.workflow import find_gap_in, read_recordings, require_effects, require_free, write_gap
+from calib.history import quantities_of
 from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar, answer, to_type, warn

@@ -14,11 +14,11 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-from calib.ageing import FORMAT, Entry, GeometryRecord, Quantity, append_entry, measured_at, require_appendable
 from calib.arm_problem.arm_model import Bounds
 from calib.arm_problem.observations import Frame
 from calib.boards import read_boards
 from calib.errors import CalibrationError
+from calib.history import FORMAT, Entry, GeometryRecord, Quantity, append_entry, measured_at, require_appendable
 from control.errors import ArmError
 
 UNITS = {"m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}, "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}}

@@ -9,9 +9,18 @@ import pytest
 
 from benchmarks.calibration.ageing import entry_of, measured
 from benchmarks.calibration.chains import REFERENCE_DH
-from calib.ageing import Entry, GeometryRecord, HistoryFileError, Quantity, append_entry, measured_at, quantities_of, read_history
 from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
+from calib.history import (
+    Entry,
+    GeometryRecord,
+    HistoryFileError,
+    Quantity,
+    append_entry,
+    measured_at,
+    quantities_of,
+    read_history,
+)
 from calib.points.writer import write_points
 from console.main import main
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from benchmarks.calibration.ageing import ARM, BEGUN, TOLERANCE_m, entry_of, history
 from benchmarks.calibration.chains import REFERENCE_DH
-from calib.ageing import FORMAT, Entry, Quantity, Trend, sentences, trend_json, trend_of
 from calib.arm_problem.assembly import Choice
+from calib.history import FORMAT, Entry, Quantity
 from calib.results import json_text
+from calib.trend import Trend, sentences, trend_json, trend_of
 
 DAYS = (0.0, 40.0, 90.0, 150.0)
 RATE = 6e-3  # rad in a year, of joint 2
