@@ -15,8 +15,7 @@ from calib.arm_problem.observations import Frame, rotation_of
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
 from calib.closed_chain.pair_problem import BASE, Contacts, PairPlan, PairProblem, names_of
-from calib.design.information import Experiment, criterion_of
-from calib.design.planning import Group, select
+from calib.design.information import Experiment, Group, criterion_of, select
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Determinability, Sensitivity, determinability, open_in_words
 from calib.identify.identification import Estimate, uncertainty

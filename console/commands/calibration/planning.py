@@ -15,7 +15,8 @@ from calib.closed_chain.pair_problem import DISTANCE_MOST_m
 from calib.closed_chain.planning import pair_of, plan_contacts, plan_text, write_contacts
 from calib.design.candidates import CameraBox
 from calib.design.information import NAMES, Uncertainty
-from calib.design.planning import Plan, Request, in_words, known_to, plan_json, plan_poses, write_plan
+from calib.design.plan import Plan, in_words, known_to, plan_json, write_plan
+from calib.design.planning import Request, plan_poses
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from calib.points.reading import base_points_for

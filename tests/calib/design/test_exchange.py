@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calib.design.information import CRITERIA, criterion_of, uncertainty_of
-from calib.design.planning import Group, select
+from calib.design.information import CRITERIA, Group, criterion_of, select, uncertainty_of
 from calib.errors import CalibrationError
 from tests.calib.design.experiments import drawn, experiment
 

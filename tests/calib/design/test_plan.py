@@ -21,7 +21,8 @@ from calib.arm_problem.assembly import Choice
 from calib.arm_problem.observations import Frame
 from calib.design.candidates import CameraBox, boards_in_the_way, free_candidates, workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
-from calib.design.planning import Request, in_words, plan_json, plan_poses, write_plan
+from calib.design.plan import in_words, plan_json, write_plan
+from calib.design.planning import Request, plan_poses
 from calib.errors import CalibrationError
 from calib.identify.objective import LeastSquares, SumOfDistances
 from calib.points.points import make_points
