@@ -452,7 +452,7 @@ def checkup_plan(arm: Arm, earlier: Points, count: int = POSES, speed: float = 1
     q = np.array([pose.q_rad for pose, _ in rows])
     direction = np.array([side for _, side in rows], dtype=float)
     names = [f"c{k}" for k in range(len(rows))]
-    new = make_points([FREE] * len(rows), names, [1] * len(rows), q, _tips(arm, q), direction)
+    new = make_points([FREE] * len(rows), names, [1] * len(rows), q, ArmModel(arm).tips(arm.dh, q), direction)
     chosen = _best(expectation_of(arm, earlier, new), count)
     visits = [visit for k in chosen for visit in _visits(*rows[2 * k])]
     return plan_of(arm, room, visits, speed)
@@ -486,10 +486,6 @@ def _information(at: ExpectedTips, columns: Array, rows: list[int]) -> Array:
     visits = at.chosen(rows)
     flat = columns[rows].reshape(6, -1)
     return np.asarray(flat.T @ np.linalg.solve(visits.covariance, flat))
-
-
-def _tips(arm: Arm, q_rad: Array) -> Array:
-    return ArmModel(arm).tips(arm.dh, q_rad)
 
 
 def _sides(n: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

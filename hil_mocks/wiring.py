@@ -159,10 +159,12 @@ def as_built(arm: Arm, scenario: Scenario) -> Arm:
     drives = list(arm.drives)
     for fault in scenario.fault:
         if fault.kind == "reversed_encoder":
-            drives = [_reversed(drive) if _is_on(drive, fault) else drive for drive in drives]
+            drives = [
+                replace(drive, encoder_direction=-drive.encoder_direction) if _is_on(drive, fault) else drive for drive in drives
+            ]
         elif fault.kind == "wrong_gear":
             ratio = float(fault.value or 0.0)
-            drives = [replace(d, gear_ratio=ratio) if _drives(d, fault) else d for d in drives]
+            drives = [replace(d, gear_ratio=ratio) if fault.board == f"motor{d.motor_node}" else d for d in drives]
         elif fault.kind == "swapped_motors":
             drives = _with_swapped_motors(drives, fault)
     return replace(arm, drives=tuple(drives))
@@ -171,14 +173,6 @@ def as_built(arm: Arm, scenario: Scenario) -> Arm:
 def _is_on(drive: Drive, fault: FaultTable) -> bool:
     board = "encoder" + (str(drive.encoder_board + 1) if drive.encoder_board > 0 else "")
     return fault.board == board and drive.encoder_channel == fault.channel
-
-
-def _drives(drive: Drive, fault: FaultTable) -> bool:
-    return fault.board == f"motor{drive.motor_node}"
-
-
-def _reversed(drive: Drive) -> Drive:
-    return replace(drive, encoder_direction=-drive.encoder_direction)
 
 
 def _with_swapped_motors(drives: Sequence[Drive], fault: FaultTable) -> list[Drive]:

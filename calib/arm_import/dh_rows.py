@@ -67,13 +67,13 @@ class ScrewPair:
 def dh_rows(axes: Sequence[Axis], base_T_tip: Array, convention: Convention) -> tuple[Row, ...]:
     """The rows of an arm with these axes whose last frame at joint angles zero is `base_T_tip` (4, 4)."""
     pairs, frame = _to_line(np.eye(4), None, axes[0])
-    for number, target in enumerate([*axes[1:], _z_line(base_T_tip)], start=1):
+    for number, target in enumerate([*axes[1:], Axis(base_T_tip[:3, 3], base_T_tip[:3, 2])], start=1):
         more, frame = _to_line(frame, number, target)
         pairs += more
     rest = np.linalg.inv(frame) @ base_T_tip
     pairs.append(ScrewPair(None, _tidy(float(rest[2, 3]), math.atan2(rest[1, 0], rest[0, 0]))))
     rows = _standard(pairs) if convention == "standard" else _modified(pairs)
-    return tuple(row for row in rows if row.joint is not None or _does_anything(row))
+    return tuple(row for row in rows if row.joint is not None or any((row.d_m, row.theta_rad, row.L_m, row.alpha_rad)))
 
 
 def frames_at_zero(rows: Sequence[Row], convention: Convention) -> Array:
@@ -84,10 +84,6 @@ def frames_at_zero(rows: Sequence[Row], convention: Convention) -> Array:
     return frames
 
 
-def _does_anything(row: Row) -> bool:
-    return any((row.d_m, row.theta_rad, row.L_m, row.alpha_rad))
-
-
 def _standard(pairs: Sequence[ScrewPair]) -> list[Row]:
     return [Row(p.joint, p.z.move_m, p.z.turn_rad, p.x.move_m, p.x.turn_rad) for p in pairs]
 
@@ -95,10 +91,6 @@ def _standard(pairs: Sequence[ScrewPair]) -> list[Row]:
 def _modified(pairs: Sequence[ScrewPair]) -> list[Row]:
     before = [Screw(), *(pair.x for pair in pairs[:-1])]
     return [Row(p.joint, p.z.move_m, p.z.turn_rad, x.move_m, x.turn_rad) for p, x in zip(pairs, before, strict=True)]
-
-
-def _z_line(frame: Array) -> Axis:
-    return Axis(frame[:3, 3], frame[:3, 2])
 
 
 def _to_line(frame: Array, joint: int | None, target: Axis) -> tuple[list[ScrewPair], Array]:

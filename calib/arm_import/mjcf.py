@@ -34,7 +34,7 @@ def read_mjcf(path: Path) -> Tree:
         for link in _links_of(model, body, names):
             links[link.name] = link
     gravity = model.opt.gravity.tolist()
-    title = _title(path)
+    title = read_xml(path, "MJCF").attributes.get("model", path.stem)
     return Tree(title, str(path), links, (gravity[0], gravity[1], gravity[2]), tuple(notes))
 
 
@@ -199,10 +199,6 @@ def _matrix(quaternion: Array) -> Array:
 
 def _name(model: Any, kind: Any, index: int, word: str) -> str:
     return mujoco.mj_id2name(model, kind, index) or f"{word}{index}"
-
-
-def _title(path: Path) -> str:
-    return read_xml(path, "MJCF").attributes.get("model", path.stem)
 
 
 def _one_line(error: Exception) -> str:

@@ -249,7 +249,7 @@ def arm_links(serial: SerialArm, convention: Convention) -> tuple[tuple[Link, ..
     links: list[Link] = []
     notes = [] if is_known else ["the file has no masses: add them for everything with torques"]
     for row, frame in zip(rows, frames, strict=True):
-        link = Link(_kind(row), _even(row.d_m), row.theta_rad, _even(row.L_m), row.alpha_rad)
+        link = Link("fixed" if row.joint is None else "revolute", _even(row.d_m), row.theta_rad, _even(row.L_m), row.alpha_rad)
         if row.joint is not None and is_known:
             mass = serial.masses[row.joint - 1]
             link = with_mass(link, mass, frame)
@@ -298,10 +298,6 @@ def _with_names(link: Link, row: Row, serial: SerialArm) -> Link:
 
 def _own(name: str) -> str:
     return name if PART_NAME.holds(name) else ""
-
-
-def _kind(row: Row) -> Literal["revolute", "fixed"]:
-    return "fixed" if row.joint is None else "revolute"
 
 
 def _inverse(frame: Array) -> Array:

@@ -394,7 +394,7 @@ def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tup
     rivals = [(c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * arm_fit.left]
     if not rivals:
         return ()
-    scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (arm_fit, *others)))
+    scale_m = max(SCALE_m, min(float(np.median(fit.distance_m)) / MEDIAN_LENGTH for fit in (arm_fit, *others)))
     rival, fit = min(rivals, key=lambda pair: pair[1].cost(scale_m, arm_fit.shown))
     excess = arm_fit.cost(scale_m, arm_fit.shown) - fit.cost(scale_m, arm_fit.shown) - 2.0 * math.log(len(others))
     if excess <= LIKELY:
@@ -495,7 +495,3 @@ def _fitted(problem: ArmProblem, size: float) -> _Fit:
         max(shown, 1.0),
         float(np.clip(np.sqrt(square / max(shown, 1.0)), SMALLEST, LARGEST)),
     )
-
-
-def _scale_m(fit: _Fit) -> float:
-    return float(np.median(fit.distance_m)) / MEDIAN_LENGTH

@@ -280,15 +280,11 @@ def plan_text(plan: ContactPlan) -> str:
     count = len(plan.chosen.contacts)
     lines = [
         f"{count} of {plan.candidates_count} contacts that both arms reach, clear of each other (D-optimal).",
-        f"They determine {plan.known.rank} of {plan.known.rank + _open_count(plan.known)} parameters"
+        f"They determine {plan.known.rank} of {len(plan.known.basis)} parameters"
         f" (condition number {plan.known.condition_number:.0f}).",
         *(f"{sentence}." for sentence in open_in_words(plan.known.undetermined)),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _open_count(known: Determinability) -> int:
-    return len(known.basis) - known.rank
 
 
 def write_contacts(path: Path, contacts: Contacts) -> None:

@@ -70,15 +70,11 @@ def _components(projector: Array) -> list[list[int]]:
         while reached:
             k = reached.pop()
             group.append(k)
-            near = [j for j in unseen if abs(projector[k, j]) > _coupled(projector, k, j)]
+            near = [j for j in unseen if abs(projector[k, j]) > NOTICEABLE * np.sqrt(projector[k, k] * projector[j, j])]
             unseen = [j for j in unseen if j not in near]
             reached.extend(near)
         groups.append(sorted(group))
     return groups
-
-
-def _coupled(projector: Array, k: int, j: int) -> float:
-    return float(NOTICEABLE * np.sqrt(projector[k, k] * projector[j, j]))
 
 
 def _describe(group: list[int], held: Array, taken_up: Array, parameters: tuple[Parameter, ...]) -> Undetermined:

@@ -222,7 +222,7 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
     if drive.encoder_board < 0 and kind.counts_per_turn not in (0, drive.encoder_counts_per_rev):
         expected = f"{kind.counts_per_turn}: what the board sends a turn of its encoder, whatever the encoder"
         raise Rejected((*path, "encoder_counts_per_rev"), expected, str(drive.encoder_counts_per_rev))
-    if drive.encoder_board >= 0 and _closes_own_loop(drive, kind):
+    if drive.encoder_board >= 0 and (not kind.uses_other_encoder or drive.pid.mode == "position"):
         expected = "none: such a drive closes its own loop, on its own encoder"
         raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))
     if drive.home is not None and not kind.has_switch and drive.encoder_board < 0:
@@ -263,10 +263,6 @@ def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str 
         middle = drive.zero_count + round((first + last - sum(counts)) / 2)
         remedy = f"narrow the range, or fit the servo's horn so that zero_count is about {middle}"
         raise Rejected((*path, "zero_count"), expected, got, remedy)
-
-
-def _closes_own_loop(drive: Drive, kind: BoardKind) -> bool:
-    return not kind.uses_other_encoder or drive.pid.mode == "position"
 
 
 def _check_end(arm: Arm) -> None:

@@ -99,7 +99,7 @@ def pulse(bench: Workbench, operator: BringupOperator, drive: Drive, caution: Ca
     seen = operator.what_moved(joint_count)
     returned: dict[Channel, int] = {}
     if any(abs(count) > MOVED_RAD * per_rad for count in moved.values()) or seen:
-        back = _ramp(bench, drive, limits, -1.0, abs(_largest(moved)) or PULSE_RAD * per_rad)
+        back = _ramp(bench, drive, limits, -1.0, abs(max(moved.values(), key=abs, default=0)) or PULSE_RAD * per_rad)
         rest = bench.observe(SETTLE_S)
         returned = _moved(back[0], rest, sinking)
     channel, others = _answering(moved, MOVED_RAD * per_rad)
@@ -154,10 +154,6 @@ def _moved(first: Sample, last: Sample, sinking: dict[Channel, float]) -> dict[C
     """Travel of the channels, without the sinking."""
     span_s = last.t_s - first.t_s
     return {at: round(last.counts[at] - first.counts[at] - sinking[at] * span_s) for at in last.counts}
-
-
-def _largest(moved: dict[Channel, int]) -> int:
-    return max(moved.values(), key=abs, default=0)
 
 
 def _answering(moved: dict[Channel, int], least_count: float) -> tuple[Channel | None, tuple[Channel, ...]]:

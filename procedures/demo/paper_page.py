@@ -312,7 +312,7 @@ def _trajectory_section(replay: PaperReplay) -> Section:
 
 
 def _backlash_section(replay: PaperReplay) -> Section:
-    model = _named(replay, BACKLASH)
+    model = next(model for model in replay.models if model.name == BACKLASH)
     return Section(
         "Backlash",
         paragraph(f"Identified backlash: {widths_text(model)}.")
@@ -338,10 +338,6 @@ def _models_section(replay: PaperReplay) -> Section:
             )
         )
     return Section("The identifications", "".join(parts))
-
-
-def _named(replay: PaperReplay, name: str) -> PaperModel:
-    return next(model for model in replay.models if model.name == name)
 
 
 def _draw_remaining(figure: "Figure", replay: PaperReplay) -> None:

@@ -100,7 +100,7 @@ def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOut
             before = pair.circle_beside()
             _take(pair, plan, out, advance)
         advance("identification", 0.8)
-        fitted, checked = (_read(out / name / POINTS, plan) for name in ("contacts", "check"))
+        fitted, checked = (read_contacts(out / name / POINTS, plan.arms)[0] for name in ("contacts", "check"))
         identification = calibrate_pair(plan.arms, fitted, PairPlan())
         calibrated = _written(cell, names, plan, identification, out)
         advance("circle, after", 0.9)
@@ -152,10 +152,6 @@ def _take(pair: MockPair, plan: planning.ContactPlan, out: Path, advance: Advanc
                 if isinstance(saying, Recorded):
                     done += 1
                     advance(f"contact {saying.record.point}", 0.1 + 0.7 * done / (FITTED + CHECKED))
-
-
-def _read(file: Path, plan: planning.ContactPlan) -> Contacts:
-    return read_contacts(file, plan.arms)[0]
 
 
 def _geometry(identification: PairFound) -> list[str]:

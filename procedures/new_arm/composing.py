@@ -294,12 +294,8 @@ def _links(arm: Arm) -> list[str]:
         joint += link.joint == "revolute"
         what = f"# joint {joint}" if link.joint == "revolute" else "# fixed"
         lines += ["", f"{'[[link]]':<{VALUE_WIDTH}}  {what}"]
-        lines += _keys(link, Link, _keys_of_link(link), with_comments=number == 0)
+        lines += _keys(link, Link, tuple(key for key in keys_of(Link) if getattr(link, key) != ""), with_comments=number == 0)
     return lines
-
-
-def _keys_of_link(link: Link) -> tuple[str, ...]:
-    return tuple(key for key in keys_of(Link) if getattr(link, key) != "")
 
 
 def _drives(arm: Arm) -> list[str]:
