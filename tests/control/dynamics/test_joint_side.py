@@ -10,9 +10,8 @@ import pytest
 from calib.arm_problem.joint_effects import known_corrections
 from calib.points.points import make_points
 from control.dynamics.feedforward import torque_model
-from control.dynamics.joint_side import Gear, GearLaw, JointSide, link_torque, usable_range_rad
+from control.dynamics.joint_side import EncoderChain, Gear, GearLaw, JointSide, link_torque, usable_range_rad
 from control.errors import ArmError
-from control.kinematics.encoder_chain import EncoderChain
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 

@@ -12,9 +12,8 @@ import pytest
 from calib.arm_problem.joint_effects import known_corrections
 from calib.points.points import make_points
 from control.dynamics.feedforward import torque_model
-from control.dynamics.joint_side import JointSide, has_joint_side, usable_range_rad
+from control.dynamics.joint_side import EncoderChain, JointSide, has_joint_side, usable_range_rad
 from control.errors import ArmFileError
-from control.kinematics.encoder_chain import EncoderChain
 from control.model.arm import Arm
 from control.model.description import arm_text, load_arm, parse_arm
 from control.model.maps import CorrectionMap
