@@ -1,7 +1,7 @@
 """What planning by the predicted error gains on the mock arm, before anything is corrected. `make planning-study`.
 
 Each mock arm is recorded once with its camera (static poses as `armwright gap --record --quick` takes them). A circle and eight
-stops are then planned as given and by `calib.planning`, in place and with work that may be moved, run, and measured with the
+stops are then planned as given and by `calib.task_planning`, in place and with work that may be moved, run, and measured with the
 camera. `demo`: the arm of the demo by its nominal file. `play`: 3 to 8 mrad of play in one joint, geometry calibrated, play not
 corrected. `worn`: the same with 4 mrad in every joint.
 """
