@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from console.commands.progress import answer
+from console.commands.progress import answer, say
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
@@ -120,7 +120,7 @@ def _compensation(arm: Arm, args: argparse.Namespace) -> int:
 
 
 def _told(what: str, notes: Sequence[str]) -> int:
-    sys.stdout.write("\n  ".join((what, *notes)) + "\n")
+    say("\n  ".join((what, *notes)))
     return 0
 
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
-from console.commands.progress import Bar, answer
+from console.commands.progress import Bar, answer, say
 from control.errors import ArmError
 from control.model.arm import Arm, Drive
 from control.model.description import save_arm
@@ -197,12 +197,12 @@ def _written(result: TuningResult, draft: Arm, out: Path, page: Path) -> None:
     save_arm(replace(draft, drives=drives), out)
     write_report(result, page, f"from {draft.path}; armwright {version('armwright')}")
     table = aligned((header(draft), *(row for tuned in result.joints for row in rows(tuned))), left=2)
-    sys.stdout.write(f"{table}\n")
+    say(table)
     for tuned in result.joints:
-        sys.stdout.write(f"{worst_pose(tuned)}\n")
+        say(worst_pose(tuned))
         for caution in tuned.cautions:
-            sys.stdout.write(f"  {caution}\n")
-    sys.stdout.write(f"\nwritten: {out} ([drive.pid] of the joints above), {page}\n")
+            say(f"  {caution}")
+    say(f"\nwritten: {out} ([drive.pid] of the joints above), {page}")
 
 
 LONGEST_S = 600.0

@@ -18,7 +18,7 @@ from calib.session.folder import PLAN, SessionFolder
 from calib.session.plan import SessionPlan, fingerprint
 from console.commands.connection import connected_arms, with_present_tool
 from console.commands.moving import described
-from console.commands.progress import has_line, shown
+from console.commands.progress import has_line, say, shown
 from console.options import finite
 from control.errors import ArmError
 from control.model.cell import Cell, load_cell
@@ -88,7 +88,7 @@ def _beside(
     q_near_rad = clients[name].status()["joint_rad"]
     plan = plan_beside(cell.placed(name), cell.placed(leader), motions[leader], offsets, q_near_rad)
     why = f", {plan.slower:.2f} times as long as {leader} alone{f': {plan.limit}' if plan.limit else ''}"
-    sys.stdout.write(f"{name}: beside {leader}, {plan.path.duration_s:.2f} s{why}\n")
+    say(f"{name}: beside {leader}, {plan.path.duration_s:.2f} s{why}")
     sys.stdout.flush()
     return plan.path
 
@@ -120,7 +120,7 @@ def _move(q_rad: tuple[float, ...], speed: float) -> dict[str, Any]:
 
 def _planned(cell: Cell, name: str, file: str, client: ArmClient) -> PlannedPath:
     path = plan_path(cell.placed(name).arm, read_waypoints(Path(file)), q_near_rad=client.status()["joint_rad"])
-    sys.stdout.write(f"{name}: {described(path)}")
+    say(f"{name}: {described(path)}")
     sys.stdout.flush()
     return path
 

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 from calib.errors import CalibrationError
-from console.commands.progress import Bar, to_type
+from console.commands.progress import Bar, say, to_type
 from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm
@@ -54,7 +54,7 @@ def _folder(args: argparse.Namespace, usual: str, scenario: bytes) -> Path:
 
 def _say(sentences: Sequence[str], files: Mapping[str, object]) -> None:
     where = aligned([(what, str(file)) for what, file in files.items()], left=2, indent="  ")
-    sys.stdout.write("\n".join(("", *sentences, "", where)) + "\n")
+    say("\n".join(("", *sentences, "", where)))
 
 
 def _on_the_table(args: argparse.Namespace) -> int:
@@ -183,7 +183,7 @@ def _cell(args: argparse.Namespace, folder: Path) -> int:
 
 def _wait(rig: MockProcess, what: str, scenario: str, option: str, file: Path) -> int:
     line = to_type("serve", option, file)
-    sys.stdout.write(f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  {line}\n")
+    say(f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  {line}")
     sys.stdout.flush()
     try:
         status = rig.wait_for_end(None)
@@ -196,7 +196,7 @@ def _wait(rig: MockProcess, what: str, scenario: str, option: str, file: Path) -
 def run_drill(args: argparse.Namespace) -> int:
     """Run the drills; exit status 1 if a promise was not kept."""
     if args.list:
-        sys.stdout.write(listing(drills().values()) + "\n")
+        say(listing(drills().values()))
         return 0
     if not args.mock:
         raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
@@ -204,7 +204,7 @@ def run_drill(args: argparse.Namespace) -> int:
     chosen = list(drills().values()) if args.name is None else drills_named(args.name)
     if len(chosen) == 1:
         outcome = chosen[0].run()
-        sys.stdout.write(in_words(outcome) + "\n")
+        say(in_words(outcome))
         return 1 if outcome.broken else 0
     outcomes = []
     sys.stdout.write(header() + "\n")
@@ -212,5 +212,5 @@ def run_drill(args: argparse.Namespace) -> int:
         outcomes.append(drill.run())
         sys.stdout.write(row(outcomes[-1]) + "\n")
         sys.stdout.flush()
-    sys.stdout.write(verdict(outcomes) + "\n")
+    say(verdict(outcomes))
     return 1 if any(outcome.broken for outcome in outcomes) else 0

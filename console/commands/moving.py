@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from console.commands.connection import connected, with_present_tool
-from console.commands.progress import shown
+from console.commands.progress import say, shown
 from console.places import find_place, save_place
 from control.errors import ArmError
 from control.files import changing, read_text, write_whole
@@ -106,11 +106,11 @@ def _run(args: argparse.Namespace) -> int:
     client, near_rad, whence = _whence(args, arm)
     arm = arm if client is None else with_present_tool(arm, client)
     path = plan_path(arm, waypoints, args.speed, q_near_rad=near_rad)
-    sys.stdout.write(described(path))
+    say(described(path))
     if near_rad is not None:
         _require_clear(arm, path, near_rad)
     if client is None or args.plan_only:
-        sys.stdout.write(f"planned from {whence}\n")
+        say(f"planned from {whence}")
         return 0
     sys.stdout.flush()
     with shown(client, args, "run: to the first way-point"):
@@ -161,7 +161,7 @@ def described(path: PlannedPath) -> str:
         f"{len(path.q_waypoints_rad)} way-points in {path.duration_s:.2f} s{branch}; begins at {angles} rad",
         *map(str, path.slowdowns),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _jog(args: argparse.Namespace) -> int:
@@ -190,7 +190,7 @@ def _mark(args: argparse.Namespace) -> int:
         raise ArmError("mark: the arm is not homed, so its joint angles are unknown: run `armwright home`")
     _say_if_outside(args, status["joint_rad"])
     was_there = save_place(Path(args.places), args.name, status["joint_rad"])
-    sys.stdout.write(f"{args.name} in {args.places}{', replacing another pose' if was_there else ''}\n")
+    say(f"{args.name} in {args.places}{', replacing another pose' if was_there else ''}")
     return 0
 
 
@@ -218,7 +218,7 @@ def _teach(args: argparse.Namespace) -> int:
             raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
         text = ",".join(f"{float(x):.6f}" for x in row)
         write_whole(file, "\n".join([*lines, text]) + "\n")
-    sys.stdout.write(f"way-point {len(lines)} in {file}: {text}\n")
+    say(f"way-point {len(lines)} in {file}: {text}")
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import Final
 import tomli_w
 
 from calib.arm_import import SerialArm, read_arm
-from console.commands.progress import to_type
+from console.commands.progress import say, to_type
 from control.errors import ArmError, ArmFileError
 from control.files import write_whole
 from control.model.description import parse_arm, supplied_text
@@ -41,7 +41,7 @@ class Terminal:
 
     def say(self, text: str) -> None:
         """Print it."""
-        sys.stdout.write(f"{text}\n")
+        say(text)
 
 
 class Defaults:
@@ -49,7 +49,7 @@ class Defaults:
 
     def ask(self, question: str, default: str) -> str:
         """The default."""
-        sys.stdout.write(f"{question}: {default}\n")
+        say(f"{question}: {default}")
         return default
 
     def say(self, text: str) -> None:
@@ -79,10 +79,10 @@ def run(args: argparse.Namespace) -> int:
     text = commented_text(new, origin)
     _require_readable(text, out, new, source)
     write_whole(out, text, is_new=True)
-    sys.stdout.write(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}\n")
+    say(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}")
     for note in new.notes:
-        sys.stdout.write(f"  {note}\n")
-    sys.stdout.write(f"Next: {to_type('arm', out)}; {to_type('mock', '--arm', out)}\n")
+        say(f"  {note}")
+    say(f"Next:\n  {to_type('arm', out)}\n  {to_type('mock', '--arm', out)}")
     return 0
 
 
@@ -99,8 +99,8 @@ def _like(args: argparse.Namespace, out: Path) -> int:
     text = PORT.sub(lambda found: _line("port", new_port[found[1]]), NAME.sub(lambda _: _line("name", name), text, count=1))
     arm = parse_arm(text, out)
     write_whole(out, text, is_new=True)
-    sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {args.like}\n")
-    sys.stdout.write(f"Next: {to_type('arm', out)}; {to_type('mock', '--arm', out)}\n")
+    say(f"{out}: arm {name}, {arm.joint_count} joints, like {args.like}")
+    say(f"Next:\n  {to_type('arm', out)}\n  {to_type('mock', '--arm', out)}")
     return 0
 
 

@@ -24,6 +24,11 @@ def to_type(*words: object) -> str:
     return shlex.join(["armwright", *map(str, words)])
 
 
+def say(text: str) -> None:
+    """Print sentences and tables, no wider than the terminal."""
+    sys.stdout.write(folded(f"{text}\n", sys.stdout))
+
+
 def warn(sentences: Iterable[str]) -> None:
     """Tell the operator, beside the results."""
     sys.stderr.writelines(folded(f"armwright: warning: {sentence}\n", sys.stderr) for sentence in sentences)

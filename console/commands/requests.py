@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Mapping
 
 from console.commands.connection import listening
-from console.commands.progress import has_line, shown
+from console.commands.progress import has_line, say, shown
 from control.errors import ArmError
 from control.server.client import ArmClient, ArmFaulted, fault_text
 
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     with shown(client, args):
         result = REQUESTS[args.command](client, args)
     if result:
-        sys.stdout.write(f"{result}\n")
+        say(result)
     return 0
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calib.results import entries
 from console.commands.connection import connected, in_control, with_present_tool
-from console.commands.progress import Progress, answer, shown
+from console.commands.progress import Progress, answer, say, shown
 from console.lines import Grammar, LineError, LineOutcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.files import read_text
@@ -105,9 +105,9 @@ def _planned(args: argparse.Namespace, arm: Arm) -> Replay:
     planned = replayed(guided, arm, args.speed)
     slowed = f", {planned.slowdown:.2f} times as long because of {planned.limit}" if planned.limit else ""
     angles = ", ".join(f"{q:z.4f}" for q in planned.path.knots[0].q_rad)
-    sys.stdout.write(
+    say(
         f"run {guided.run}: guided for {guided.times_s[-1]:.2f} s; the motion takes {planned.path.duration_s:.2f} s{slowed};"
-        f" begins at {angles} rad\n"
+        f" begins at {angles} rad"
     )
     sys.stdout.flush()
     return planned

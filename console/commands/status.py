@@ -2,12 +2,11 @@
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 
 from console.commands.connection import listening
 from console.commands.end_effector import gripper_text, pin_text
-from console.commands.progress import answer
+from console.commands.progress import answer, say
 from control.errors import ArmError
 from control.model.description import load_arm
 from control.plain_text import aligned, listed
@@ -22,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     if args.modes:
         from control.safety.modes import table_text
 
-        sys.stdout.write(f"{table_text()}\n")
+        say(table_text())
         return 0
     client = listening(args)
     status = client.status()

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from console.commands.connection import connected, connected_arms
-from console.commands.progress import Bar
+from console.commands.progress import Bar, say
 from console.commands.recordings import whole_series
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
@@ -83,7 +83,7 @@ def _until_the_runtime_ends() -> Iterator[None]:
     try:
         yield
     except RuntimeGone as gone:
-        sys.stdout.write(f"the runtime has ended ({gone})\n")
+        say(f"the runtime has ended ({gone})")
 
 
 def _recorded(args: argparse.Namespace) -> int:
@@ -101,7 +101,7 @@ def _recorded(args: argparse.Namespace) -> int:
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
         count = stream(shown, (snapshot_at(series, int(row)) for row in rows), _file(args.rerun))
-        sys.stdout.write(f"{count} samples sent to Rerun\n")
+        say(f"{count} samples sent to Rerun")
         return 0
     _play(args, shown, series)
     return 0
@@ -113,7 +113,7 @@ def _play(args: argparse.Namespace, shown: Arm | Cell, series: Series) -> None:
 
     rows = _rows(series, 1.0 / 60.0)
     scene = scene_of(shown)
-    sys.stdout.write("solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n")
+    say("solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart")
     player = Player(rows, series.t_s[rows].tolist(), args.speed)
     play(scene, series, player, MonotonicClock(), open_window)
 
@@ -140,7 +140,7 @@ def _render(args: argparse.Namespace, shown: Arm | Cell, series: Series) -> int:
     images = frames(series, rows, traces_of(series, tips_in(shown)), paint)
     with Bar("render") as bar:
         files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / args.fps)
-    sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} samples)\n")
+    say(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} samples)")
     return 0
 
 
@@ -195,7 +195,7 @@ def _serve(args: argparse.Namespace, arm: Arm, client: ArmClient) -> int:
 
 
 def _announce(url: str) -> None:
-    sys.stdout.write(f"In Foxglove: Open connection, Foxglove WebSocket, {url}; Ctrl-C ends it\n")
+    say(f"In Foxglove: Open connection, Foxglove WebSocket, {url}; Ctrl-C ends it")
     sys.stdout.flush()
 
 
@@ -210,7 +210,7 @@ def _picture(args: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, tr
         raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
     image = painter_of(shown, _warn, is_still=True)(snapshot, traces)
     write_images(out, iter([(snapshot.t_s, image)]), 1.0)
-    sys.stdout.write(f"written: {out}\n")
+    say(f"written: {out}")
     return 0
 
 

@@ -1,9 +1,11 @@
 """What commands print: one JSON for programs or one text for people, and tables whose columns stand under each other."""
 
 import argparse
+import io
 import json
 import math
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,6 +45,20 @@ def test_a_command_that_is_printed_can_be_typed_whatever_the_file_is_called(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", "--out", "my läb's arm.toml", "--joints", "3", "--yes"]) == 0
-    printed = capsys.readouterr().out.splitlines()[-1].removeprefix("Next: ").partition("; ")[0]
+    printed = capsys.readouterr().out.splitlines()[-2]
     assert shlex.split(printed) == ["armwright", "arm", "my läb's arm.toml"]
     assert main(shlex.split(printed)[1:]) == 0
+
+
+def test_on_a_narrow_terminal_sentences_break_between_words_and_commands_stay_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setattr(sys, "stdout", terminal)
+    assert main(["new", "--out", f"{'a' * 60}.toml", "--joints", "3", "--yes"]) == 0
+    wide = [line.split()[:2] for line in terminal.getvalue().splitlines() if len(line) > 60 and "armwright" in line]
+    assert wide == [["armwright", "arm"], ["armwright", "mock"]]
+    assert all(len(line) <= 60 for line in terminal.getvalue().splitlines() if "a" * 60 not in line)

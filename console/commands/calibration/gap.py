@@ -15,7 +15,7 @@ from calib.gap.workflow import find_gap_in, read_recordings, require_effects, re
 from calib.history import quantities_of
 from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar, answer, to_type, warn
+from console.commands.progress import Bar, answer, say, to_type, warn
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -64,7 +64,7 @@ def _say(args: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: b
     answer(args, gap_content(outcome.finding), "\n".join(in_words(outcome.finding)), files)
     if has_points and not args.json:
         line = to_type("verify", "--arm", out / "arm.toml", "--against", args.arm, "--points", "OTHERS.csv")
-        sys.stdout.write(f"Next: ask other points whether to use it: {line}\n")
+        say(f"Next, ask other points whether to use it:\n  {line}")
 
 
 def _record(args: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int:

@@ -19,7 +19,7 @@ from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.spreadsheet import ANGLES, LENGTHS, Unclear, Understood, read_sheet, understood
 from calib.points.writer import write_points
 from calib.results import entries, input_file, made_today
-from console.commands.progress import answer, to_type, warn
+from console.commands.progress import answer, say, to_type, warn
 from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm
@@ -46,7 +46,7 @@ def run_import_points(args: argparse.Namespace) -> int:
     line += [*(["--columns", *named] if named else []), *(["--angles", args.angles] if args.angles else [])]
     line += ["--lengths", args.lengths] if args.lengths else []
     rows = file.read_text(encoding="utf-8").splitlines()[: SHOWN + 1]
-    sys.stdout.write("\n".join([*imported.in_words, "", *rows, "...", f"written: {file}", "Again: " + to_type(*line)]) + "\n")
+    say("\n".join([*imported.in_words, "", *rows, "...", f"written: {file}", f"Again:\n  {to_type(*line)}"]))
     return 0
 
 
@@ -88,7 +88,7 @@ def _markers(args: argparse.Namespace, arm: Arm, file: Path) -> int:
         raise CaptureError("--board-markers: the arm need not move: leave --log, --body, --run and --json out")
     markers = board_markers(arm, _read(Path(args.file)), args.board_markers, args.base_body or "")
     write_whole(file, markers_text(markers))
-    sys.stdout.write(f"{len(markers)} markers of setup {args.board_markers}, in the base frame\nwritten: {file}\n")
+    say(f"{len(markers)} markers of setup {args.board_markers}, in the base frame\nwritten: {file}")
     return 0
 
 

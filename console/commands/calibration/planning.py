@@ -26,7 +26,7 @@ from calib.trust.prediction import Path as TaskPath
 from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames, length_m, orientation_noise_rad, quantity
-from console.commands.progress import Bar, answer, to_type, warn
+from console.commands.progress import Bar, answer, say, to_type, warn
 from control.model.arm import Arm
 from control.model.cell import load_cell
 from control.model.description import load_arm
@@ -192,7 +192,7 @@ def run_plan_contacts(args: argparse.Namespace) -> int:
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_contacts(out, plan.chosen.contacts)
-        sys.stdout.write(f"written: {out}\n")
+        say(f"written: {out}")
     return 0
 
 
