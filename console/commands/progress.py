@@ -51,6 +51,7 @@ class Bar:
 
     def __init__(self, title: str) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.table import Column
 
         self._is_terminal = sys.stderr.isatty()
         self._title = title
@@ -59,8 +60,9 @@ class Bar:
         self._began_s = time.monotonic()
         from rich.console import Console
 
+        words = max(10, min(32, shutil.get_terminal_size().columns - 32))  # a share and two times stand beside them
         self._progress = Progress(
-            TextColumn("{task.description:<32}"),
+            TextColumn("{task.description}", table_column=Column(width=words, no_wrap=True, overflow="ellipsis")),
             BarColumn(),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeElapsedColumn(),
