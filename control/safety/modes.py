@@ -48,8 +48,7 @@ class Event(Enum):
     GUIDE = "operator: let a hand move the arm"
     BRAKE = "operator or shutdown: from position control or hand guiding to 0 V"
     SWITCH_OFF = "shutdown: the arm is at rest; drives switch off. From HELD: the operator lets it go"
-    FAULT_CONTROLLED = "a fault while feedback is good"
-    FAULT_BRAKE = "a fault that makes feedback unreliable: the boards hold, or 0 V"
+    FAULT = "a fault: the loop stops the arm and holds it, the boards hold, or 0 V"
     ACKNOWLEDGE_HELD = "operator has read the faults; the arm was held"
     ACKNOWLEDGE_BRAKED = "operator has read the faults; the arm was braked, or its boards held it"
     ACKNOWLEDGE_OFF = "operator has read the faults; the drives were off"
@@ -58,7 +57,7 @@ class Event(Enum):
 
 # What is missing here is illegal and changes nothing. Why some rows are as they are:
 # - STOP is legal wherever something could move, so that a stop can never be refused for being late.
-# - Every mode has both fault rows; OFF too: a fault found while connecting must be seen before any motion.
+# - Every mode has a fault row; OFF too: a fault found while connecting must be seen before any motion.
 # - FAULT accepts BRAKE (shutdown from a held fault) and SWITCH_OFF; the faults stay listed until
 #   acknowledged.
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
@@ -66,8 +65,7 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.OFF, Event.CONNECT): Mode.BRAKED,
     (Mode.OFF, Event.SWITCH_OFF): Mode.OFF,
     (Mode.OFF, Event.STOP): Mode.OFF,
-    (Mode.OFF, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.OFF, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.OFF, Event.FAULT): Mode.FAULT,
     (Mode.OFF, Event.ACKNOWLEDGE_OFF): Mode.OFF,
     (Mode.BRAKED, Event.ENABLE): Mode.HOLDING,
     (Mode.BRAKED, Event.HOMED): Mode.BRAKED,
@@ -75,8 +73,7 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.BRAKED, Event.STOP): Mode.BRAKED,
     (Mode.BRAKED, Event.BRAKE): Mode.BRAKED,
     (Mode.BRAKED, Event.SWITCH_OFF): Mode.OFF,
-    (Mode.BRAKED, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.BRAKED, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.BRAKED, Event.FAULT): Mode.FAULT,
     (Mode.HOLDING, Event.HOME): Mode.HOMING,
     (Mode.HOLDING, Event.HOMED): Mode.HOLDING,
     (Mode.HOLDING, Event.MOVE): Mode.MOVING,
@@ -84,32 +81,26 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.HOLDING, Event.STOP): Mode.HOLDING,
     (Mode.HOLDING, Event.GUIDE): Mode.GUIDING,
     (Mode.HOLDING, Event.BRAKE): Mode.BRAKED,
-    (Mode.HOLDING, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.HOLDING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.HOLDING, Event.FAULT): Mode.FAULT,
     (Mode.MOVING, Event.ARRIVED): Mode.HOLDING,
     (Mode.MOVING, Event.PAUSE): Mode.PAUSED,
     (Mode.MOVING, Event.RESUME): Mode.MOVING,
     (Mode.MOVING, Event.STOP): Mode.STOPPING,
-    (Mode.MOVING, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.MOVING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.MOVING, Event.FAULT): Mode.FAULT,
     (Mode.HOMING, Event.HOMED): Mode.HOLDING,
     (Mode.HOMING, Event.STOP): Mode.STOPPING,
-    (Mode.HOMING, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.HOMING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.HOMING, Event.FAULT): Mode.FAULT,
     (Mode.GUIDING, Event.STOP): Mode.BRAKED,
     (Mode.GUIDING, Event.BRAKE): Mode.BRAKED,
-    (Mode.GUIDING, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.GUIDING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.GUIDING, Event.FAULT): Mode.FAULT,
     (Mode.STOPPING, Event.STOPPED): Mode.HOLDING,
     (Mode.STOPPING, Event.STOP): Mode.STOPPING,
-    (Mode.STOPPING, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.STOPPING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.STOPPING, Event.FAULT): Mode.FAULT,
     (Mode.FAULT, Event.STOP): Mode.FAULT,
     (Mode.FAULT, Event.STOPPED): Mode.FAULT,
     (Mode.FAULT, Event.BRAKE): Mode.FAULT,
     (Mode.FAULT, Event.SWITCH_OFF): Mode.OFF,
-    (Mode.FAULT, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.FAULT, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.FAULT, Event.FAULT): Mode.FAULT,
     (Mode.FAULT, Event.ACKNOWLEDGE_HELD): Mode.HOLDING,
     (Mode.FAULT, Event.ACKNOWLEDGE_BRAKED): Mode.BRAKED,
     (Mode.FAULT, Event.ACKNOWLEDGE_OFF): Mode.OFF,
@@ -117,21 +108,18 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.JOGGING, Event.JOG): Mode.JOGGING,
     (Mode.JOGGING, Event.ARRIVED): Mode.HOLDING,
     (Mode.JOGGING, Event.STOP): Mode.STOPPING,
-    (Mode.JOGGING, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.JOGGING, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.JOGGING, Event.FAULT): Mode.FAULT,
     (Mode.PAUSED, Event.PAUSE): Mode.PAUSED,
     (Mode.PAUSED, Event.RESUME): Mode.MOVING,
     (Mode.PAUSED, Event.ARRIVED): Mode.HOLDING,
     (Mode.PAUSED, Event.STOP): Mode.STOPPING,
-    (Mode.PAUSED, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.PAUSED, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.PAUSED, Event.FAULT): Mode.FAULT,
     (Mode.HELD, Event.RELEASED): Mode.OFF,
     (Mode.HELD, Event.HOMED): Mode.HELD,
     (Mode.HELD, Event.ENABLE): Mode.HOLDING,
     (Mode.HELD, Event.STOP): Mode.HELD,
     (Mode.HELD, Event.SWITCH_OFF): Mode.OFF,
-    (Mode.HELD, Event.FAULT_CONTROLLED): Mode.FAULT,
-    (Mode.HELD, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.HELD, Event.FAULT): Mode.FAULT,
 }
 
 # Modes in which the arm executes a request (or is paused); a stop ends them.
@@ -238,7 +226,6 @@ class Fault:
         return f"{self.where}: {self.message}; {self.remedy}"
 
 
-_FAULT_EVENTS = (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
 _ACKNOWLEDGED = {
     Mode.HOLDING: Event.ACKNOWLEDGE_HELD,
     Mode.BRAKED: Event.ACKNOWLEDGE_BRAKED,
@@ -255,7 +242,7 @@ class IllegalTransition(ArmError):
         self.event = event
         self.legal = legal
         self.why = why
-        names = ", ".join(entry.name for entry in legal if entry not in _FAULT_EVENTS)
+        names = ", ".join(entry.name for entry in legal if entry is not Event.FAULT)
         reason = f": {why}" if why else f"; accepted: {names}"
         super().__init__(f"the arm is in {mode.name} and does not accept {event} now{reason}")
 
@@ -299,7 +286,7 @@ class Monitor:
 
     def require(self, event: Event) -> Mode:
         """Return the mode that `event` leads to; raises as `on` and changes nothing."""
-        if event in _FAULT_EVENTS or event in _ACKNOWLEDGED.values():
+        if event is Event.FAULT or event in _ACKNOWLEDGED.values():
             raise self._refusal(event.name, "use fault() and acknowledge()")
         following = TRANSITIONS.get((self.mode, event))
         if following is None:
@@ -330,8 +317,7 @@ class Monitor:
         if fault.code in LOSES_ZERO:
             self.is_homed, self.is_zero_doubted = False, True
         self.reaction = wanted if self.reaction is None else max(self.reaction, wanted)
-        event = Event.FAULT_CONTROLLED if self.reaction is Reaction.CONTROLLED else Event.FAULT_BRAKE
-        self.mode = TRANSITIONS[(self.mode, event)]
+        self.mode = TRANSITIONS[(self.mode, Event.FAULT)]
         return self.mode
 
     def acknowledge(self, uncontrolled: Mode = Mode.BRAKED) -> tuple[Fault, ...]:

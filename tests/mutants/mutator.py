@@ -36,7 +36,7 @@ CALLED = {"min": "max", "max": "min", "all": "any", "any": "all", "abs": "float"
 MEMBERS = {
     "Reaction": ("CONTROLLED", "HOLD", "BRAKE"),
     "Mode": ("OFF", "BRAKED", "HOLDING", "MOVING", "HOMING", "GUIDING", "STOPPING", "FAULT", "JOGGING", "PAUSED"),
-    "Event": ("STOP", "BRAKE", "HOME", "HOMED", "MOVE", "STOPPED", "FAULT_CONTROLLED", "FAULT_BRAKE"),
+    "Event": ("STOP", "BRAKE", "HOME", "HOMED", "MOVE", "STOPPED", "FAULT"),
 }
 
 

@@ -49,14 +49,7 @@ ROUTES = {
     Mode.GUIDING: (Event.CONNECT, Event.GUIDE),
     Mode.STOPPING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE, Event.STOP),
 }
-INTERNAL = {
-    Event.FAULT_CONTROLLED,
-    Event.FAULT_BRAKE,
-    Event.ACKNOWLEDGE_HELD,
-    Event.ACKNOWLEDGE_BRAKED,
-    Event.ACKNOWLEDGE_OFF,
-    Event.ACKNOWLEDGE_FOUND,
-}
+INTERNAL = {Event.FAULT, Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED, Event.ACKNOWLEDGE_OFF, Event.ACKNOWLEDGE_FOUND}
 # What the loop does not control it cannot stop; boards that hold by themselves go on.
 UNCONTROLLED = {Mode.OFF: Reaction.BRAKE, Mode.BRAKED: Reaction.BRAKE, Mode.GUIDING: Reaction.BRAKE, Mode.HELD: Reaction.HOLD}
 
@@ -292,10 +285,9 @@ def test_each_step_of_a_shutdown(mode, still, held, expected):
         assert next_towards_off(mode, still) is expected
 
 
-def test_every_mode_takes_both_kinds_of_fault_and_stop():
-    assert all((mode, event) in TRANSITIONS for mode in Mode for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE))
+def test_every_mode_takes_a_fault_and_stop():
+    assert all(TRANSITIONS[(mode, Event.FAULT)] is Mode.FAULT for mode in Mode)
     assert all((mode, Event.STOP) in TRANSITIONS for mode in Mode)
-    assert all(TRANSITIONS[(mode, event)] is Mode.FAULT for mode in Mode for event in (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE))
 
 
 def test_no_mode_but_off_held_braked_and_fault_can_be_switched_off():
