@@ -14,7 +14,7 @@ from calib.arm_import.lerobot import LeRobotMotor, given_back, read_calibration,
 from calib.errors import ImportedModelError
 from console.main import main
 from control.model.arm import Arm
-from control.model.description import load_arm
+from control.model.description import arm_names, load_arm
 from control.model.drive import JointMap
 from tests.cell import with_drive
 
@@ -131,7 +131,7 @@ def test_the_commands_take_it_over_and_give_it_back(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--like", "so99"], '"so101" or "widowx250", got an unknown name'),
+        (["--like", "so99"], f'or "{arm_names()[-1]}", got an unknown name'),
         (["--like", "so101", "--joints", "3"], "copies a whole arm: leave --joints out"),
         (["--like", "so101", "--ports", "a", "b"], "expected 1, as so101 has"),
         (["--like", "so101", "--name", r"a\1"], "name: expected a name of 1 to 64 characters"),

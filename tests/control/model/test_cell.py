@@ -10,9 +10,10 @@ import pytest
 from console.main import main
 from control.errors import ArmError, ArmFileError
 from control.model.cell import cell_of_one, load_cell, save_cell
-from control.model.description import load_arm
+from control.model.description import arm_names, load_arm
 
 PAIR = load_cell("pair")
+KNOWN = " or ".join(f'"{name}"' for name in arm_names())
 TWO = """name = "two"
 [[arm]]
 file = "left"
@@ -58,7 +59,7 @@ def test_a_base_that_is_turned_and_moved_takes_points_there_and_back(tmp_path: P
         ('"right"', '"right"\norientation = [1.0, 1.0, 0.0, 0.0]', 6, "expected a unit quaternion"),
         ('"right"', '"right"\norientation = [0.0, 1.0, 0.0, 0.0]', 6, "expected gravity as of arm 'left'"),
         ('"right"', '"right"\norigin_m = [0.0, -250.0, 0.0]', 6, "this looks like millimetres: write [0, -0.25, 0]"),
-        ('"right"', '"rigth"', None, 'expected a path to an arm.toml, or "koch" or "left" or "right" or "so100" or'),
+        ('"right"', '"rigth"', None, f"expected a path to an arm.toml, or {KNOWN}"),
         ("[[arm]]", "[arm]", 2, "expected"),
     ],
 )

@@ -40,7 +40,7 @@ def test_the_package_control_is_ours() -> None:
 
 def test_both_arms_ship_and_differ_only_in_the_mirrored_offset() -> None:
     right, left = load_arm("right"), load_arm("left")
-    assert arm_names() == ("koch", "left", "right", "so100", "so101", "widowx250")
+    assert arm_names() == ("koch", "left", "openmanipulatorx", "right", "so100", "so101", "widowx250")
     difference = left.dh - right.dh
     assert difference[2, 0] == pytest.approx(0.024)
     assert np.count_nonzero(difference) == 1
@@ -71,7 +71,7 @@ def test_an_index_pulse_of_the_default_arm_lies_half_a_motor_turn_above_its_swit
 
 
 def test_an_unknown_name_lists_the_names_that_ship() -> None:
-    with pytest.raises(ArmFileError, match=r'"koch" or "left" or "right" or "so100" or "so101" or "widowx250"'):
+    with pytest.raises(ArmFileError, match=" or ".join(f'"{name}"' for name in arm_names())):
         load_arm("wright")
 
 
