@@ -64,7 +64,7 @@ def sites_of(source: str) -> list[tuple[int, int]]:
     left_out = _not_mutated(tree)
     return [
         (number, variant)
-        for number, node in enumerate(_located(tree))
+        for number, node in enumerate(located(tree))
         if id(node) not in left_out
         for variant in range(_variants(node))
     ]
@@ -76,7 +76,7 @@ def mutants_of(source: str, sites: Iterable[tuple[int, int]] | None = None) -> I
     unchanged = ast.unparse(tree)
     for number, variant in sites_of(source) if sites is None else sites:
         changed = copy.deepcopy(tree)
-        twin = _located(changed)[number]
+        twin = located(changed)[number]
         line, before = twin.lineno, ast.unparse(twin)
         _change(changed, twin, variant)
         after = ast.unparse(ast.fix_missing_locations(changed))
@@ -86,7 +86,8 @@ def mutants_of(source: str, sites: Iterable[tuple[int, int]] | None = None) -> I
             yield Mutant(line, _short(before), "left out" if is_gone else now, after)
 
 
-def _located(tree: ast.AST) -> list[ast.expr | ast.stmt]:
+def located(tree: ast.AST) -> list[ast.expr | ast.stmt]:
+    """The nodes that are counted: expressions and statements."""
     return [node for node in ast.walk(tree) if isinstance(node, ast.expr | ast.stmt)]
 
 
