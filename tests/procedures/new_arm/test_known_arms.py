@@ -30,11 +30,15 @@ from tests.thirds import third_of
 OWNED = tuple(name for name in arm_names() if load_arm(name).boards)
 SEEN_rad = 0.01  # six counts of a servo
 # Of arms whose upper arm stands upright at zero; the others' is at the middle of its range there.
-STRETCHED_rad = {"openmanipulatorx": [0.0, 0.6, -0.6, 0.3], "widowx250": [0.0, 0.8, -0.8, 0.3, 0.0]}
+STRETCHED_rad = {
+    **dict.fromkeys(("openmanipulatorx", "pincherx100"), (0.0, 0.6, -0.6, 0.3)),
+    **dict.fromkeys(("reactorx150", "viperx300", "widowx250"), (0.0, 0.8, -0.8, 0.3, 0.0)),
+    **dict.fromkeys(("viperx300s", "widowx250s"), (0.0, 0.8, -0.8, 0.0, 0.3, 0.0)),
+}
 
 
 def test_every_servo_arm_that_is_known_is_tried_here() -> None:
-    assert set(OWNED) >= {"koch", "openmanipulatorx", "so100", "so101", "widowx250"}
+    assert set(OWNED) >= {"koch", "so100", "so101", *STRETCHED_rad}
 
 
 @pytest.mark.parametrize("name", third_of(OWNED, 1))
@@ -58,7 +62,7 @@ def test_a_known_arm_is_well_moves_and_is_let_go_on_the_mock(name: str, tmp_path
         cell.until(lambda: not any(cell.torques()), 1.0)
 
 
-@pytest.mark.parametrize("name", OWNED)
+@pytest.mark.parametrize("name", third_of(OWNED, 2))
 def test_the_doctor_finds_a_known_arm_well(name: str) -> None:
     arm = load_arm(name)
     period_s = 1.0 / arm.usual_rate_Hz
@@ -187,7 +191,7 @@ def test_the_current_of_every_servo_holds_the_arm(name: str) -> None:
     """Measured or reckoned, of one servo or of two: the torque of what is reported is that of the motors."""
     arm = load_arm(name)
     assert arm.rest is not None
-    stretched = STRETCHED_rad.get(name, [0.0, 0.4, 0.1, 0.1, 0.0])
+    stretched = STRETCHED_rad.get(name, (0.0, 0.4, 0.1, 0.1, 0.0))
     with open_cell(load_scenario("ideal"), arm=arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
         cell.client.enable()
         cell.run(cell.start_move(stretched) + 2.0)
