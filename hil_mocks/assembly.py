@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from control.model.arm import Arm, Drive
 from control.model.end_effector import Gripper
 from hil_mocks.devices.cameras import CameraMock, CameraSetup, MocapMock, NatNetMock, PictureMock, QtmMock, SceneSetup, ViconMock
-from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
+from hil_mocks.devices.encoder_board import EncoderBoardHardware, EncoderBoardSetup
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.firmware import encoder_board_class, motor_board_class

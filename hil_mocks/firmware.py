@@ -21,8 +21,7 @@ from pathlib import Path
 
 from firmware_iface.installation import ROOT
 from hil_mocks.devices import motor_inputs
-from hil_mocks.devices.encoder_board import EncoderBoardMock
-from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, Latched, deframe, frame
+from hil_mocks.devices.encoder_board import EncoderBoardHardware, EncoderBoardMock, Latched, deframe, frame
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.errors import MockError, ScenarioError
 from hil_mocks.scenario import Scenario

@@ -24,7 +24,7 @@ from hil_mocks.assembly import (
     build_plant,
 )
 from hil_mocks.bought import Bought, PlantState
-from hil_mocks.devices.encoder_inputs import EncoderBoardHardware
+from hil_mocks.devices.encoder_board import EncoderBoardHardware
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, MotorBoardHardware, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, FaultyFrames, Frames, check_fault

@@ -13,8 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from hil_mocks.devices.encoder_board import EncoderBoardMock
-from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup, frame
+from hil_mocks.devices.encoder_board import EncoderBoardHardware, EncoderBoardMock, EncoderBoardSetup, frame
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.firmware import EncoderBoardFirmware, MotorBoardFirmware

@@ -8,12 +8,12 @@ import pytest
 
 from firmware_iface.encoder.wire import Decoder, IndexLatch, Report
 from hil_mocks.devices import encoder_board as eb
-from hil_mocks.devices.encoder_board import EncoderBoardMock
-from hil_mocks.devices.encoder_inputs import (
+from hil_mocks.devices.encoder_board import (
     INDEX_LATCHED,
     INDEX_LEVEL,
     SIGNAL_LOST,
     ZERO_SET,
+    EncoderBoardMock,
     EncoderBoardSetup,
     Gatherer,
     deframe,

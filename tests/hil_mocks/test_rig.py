@@ -18,7 +18,7 @@ from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.encoder.wire import ChannelFlag
 from firmware_iface.link import ByteLink, FrameLink
 from firmware_iface.serial_link import open_serial
-from hil_mocks.devices.encoder_inputs import frame
+from hil_mocks.devices.encoder_board import frame
 from hil_mocks.errors import ScenarioError
 from hil_mocks.faults import KINDS, kinds_of
 from hil_mocks.rig import SteppedRig

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import random
 
-from hil_mocks.devices.encoder_board import EncoderBoardMock
-from hil_mocks.devices.encoder_inputs import EncoderBoardSetup, deframe, frame
+from hil_mocks.devices.encoder_board import EncoderBoardMock, EncoderBoardSetup, deframe, frame
 from hil_mocks.firmware import EncoderBoardFirmware
 from tests.firmware import needs_compiler
 
