@@ -62,6 +62,56 @@ def as_counter(count: int) -> int:
     return (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
 
 
+class OutputMode(Enum):
+    """Meaning of a number passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops; a board
+    that cannot do so shorts the windings. `HOLD`: the board brings its joint to rest and holds it by its own encoder.
+    """
+
+    OFF = 0
+    VOLTAGE = 1
+    CURRENT = 2
+    POSITION = 3
+    HOLD = 4
+
+
+@dataclass(slots=True)
+class Feedback:
+    """The boards' latest values. One object, overwritten by every read; lists have one entry per joint."""
+
+    joint_count: int
+    encoder_at_s: float = float("-inf")  # of the board with the oldest counts, on the host's clock
+    counted_at_s: list[float] = field(default_factory=list)  # when `count` was latched, on its board's own clock
+    count_late_s: list[float] = field(default_factory=list)  # by how much later it may have been: 0, if the board tells
+    # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
+    reported_at_s: list[float] = field(default_factory=list)
+    reply_at_s: list[float] = field(default_factory=list)
+    count: list[int] = field(default_factory=list)
+    shift_count: list[int] = field(default_factory=list)  # sum of `shift_count` calls that `count` already includes
+    channel_flags: list[int] = field(default_factory=list)
+    current_A: list[float] = field(default_factory=list)
+    supply_V: list[float] = field(default_factory=list)
+    temperature_C: list[float] = field(default_factory=list)
+    statusword: list[int] = field(default_factory=list)
+    drive_faults: list[int] = field(default_factory=list)
+    # whether the board drives its motor or holds it by itself, whatever its state is called, as far as it says so
+    has_torque: list[bool] = field(default_factory=list)
+    # of the last COMMAND, in the joint's sign; NaN while the board finds the voltage itself, or drives nothing
+    sent_V: list[float] = field(default_factory=list)
+    # (joint, its count without shifts, its motor board's count of the same moment) that came in this cycle; the latter in the
+    # sense of the former, or of the joint where it is of a second encoder
+    motor_counts: list[tuple[int, int, int]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        n = self.joint_count
+        self.reported_at_s, self.reply_at_s = [float("-inf")] * n, [float("-inf")] * n
+        for name in ("count", "shift_count", "channel_flags", "statusword", "drive_faults"):
+            setattr(self, name, [0] * n)
+        for name in ("counted_at_s", "count_late_s", "current_A", "supply_V", "temperature_C"):
+            setattr(self, name, [0.0] * n)
+        self.sent_V = [float("nan")] * n
+        self.has_torque = [False] * n
+
+
 @dataclass(slots=True)
 class GripperFeedback:
     """The board's latest values. `moved_m`: by the motor since power-up, opening positive; NaN without an encoder."""
@@ -171,56 +221,6 @@ class NamedPins:
             reply = board.reply if now_s - board.reply_at_s <= STALE_s else None
             level_of[pin.name] = None if reply is None else bool(reply.levels >> pin.pin & 1)
         return level_of
-
-
-class OutputMode(Enum):
-    """Meaning of a number passed to `write`. `OFF` opens the motor circuit: the joint is free and a loaded arm drops; a board
-    that cannot do so shorts the windings. `HOLD`: the board brings its joint to rest and holds it by its own encoder.
-    """
-
-    OFF = 0
-    VOLTAGE = 1
-    CURRENT = 2
-    POSITION = 3
-    HOLD = 4
-
-
-@dataclass(slots=True)
-class Feedback:
-    """The boards' latest values. One object, overwritten by every read; lists have one entry per joint."""
-
-    joint_count: int
-    encoder_at_s: float = float("-inf")  # of the board with the oldest counts, on the host's clock
-    counted_at_s: list[float] = field(default_factory=list)  # when `count` was latched, on its board's own clock
-    count_late_s: list[float] = field(default_factory=list)  # by how much later it may have been: 0, if the board tells
-    # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
-    reported_at_s: list[float] = field(default_factory=list)
-    reply_at_s: list[float] = field(default_factory=list)
-    count: list[int] = field(default_factory=list)
-    shift_count: list[int] = field(default_factory=list)  # sum of `shift_count` calls that `count` already includes
-    channel_flags: list[int] = field(default_factory=list)
-    current_A: list[float] = field(default_factory=list)
-    supply_V: list[float] = field(default_factory=list)
-    temperature_C: list[float] = field(default_factory=list)
-    statusword: list[int] = field(default_factory=list)
-    drive_faults: list[int] = field(default_factory=list)
-    # whether the board drives its motor or holds it by itself, whatever its state is called, as far as it says so
-    has_torque: list[bool] = field(default_factory=list)
-    # of the last COMMAND, in the joint's sign; NaN while the board finds the voltage itself, or drives nothing
-    sent_V: list[float] = field(default_factory=list)
-    # (joint, its count without shifts, its motor board's count of the same moment) that came in this cycle; the latter in the
-    # sense of the former, or of the joint where it is of a second encoder
-    motor_counts: list[tuple[int, int, int]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        n = self.joint_count
-        self.reported_at_s, self.reply_at_s = [float("-inf")] * n, [float("-inf")] * n
-        for name in ("count", "shift_count", "channel_flags", "statusword", "drive_faults"):
-            setattr(self, name, [0] * n)
-        for name in ("counted_at_s", "count_late_s", "current_A", "supply_V", "temperature_C"):
-            setattr(self, name, [0.0] * n)
-        self.sent_V = [float("nan")] * n
-        self.has_torque = [False] * n
 
 
 @dataclass(frozen=True, slots=True)
