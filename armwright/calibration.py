@@ -21,7 +21,7 @@ from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.points.points import Points
 from calib.points.points import make_points as made_points
-from calib.points.reading import read_points as points_of
+from calib.points.points import read_points as points_of
 from calib.report.report import write_report
 from calib.results import made_today
 from calib.validation.verify import Comparison, compare_arms

@@ -17,8 +17,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, RegistrationError
-from calib.points.points import COVARIANCE, ORIENTATION, TIP
-from calib.points.reading import IMPORT
+from calib.points.points import COVARIANCE, IMPORT, ORIENTATION, TIP
 from calib.results import DECIMALS, Provenance, array_in, read_json, write_json
 from control.tables import TableColumn, TableFormat, read_table
 

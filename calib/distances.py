@@ -25,8 +25,7 @@ from calib.arm_problem.posed import WithRows, in_threes
 from calib.arm_problem.problem import TOOL_NAMES
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
-from calib.points.points import Points, require_radians
-from calib.points.reading import beyond
+from calib.points.points import Points, beyond, require_radians
 from control.model.arm import Arm
 from control.tables import TableColumn, TableContent, TableFormat
 

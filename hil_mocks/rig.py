@@ -28,7 +28,7 @@ from firmware_iface.installation import command
 from firmware_iface.interrupts import held
 from firmware_iface.link import Closing
 from hil_mocks.errors import RigError
-from hil_mocks.plant.hand import Point
+from hil_mocks.plant.plant import Point
 from hil_mocks.protocol_mock import CAN_INTERFACE, SerialLine, register
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario

@@ -28,9 +28,8 @@ from hil_mocks.devices.encoder_board import EncoderBoardHardware
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, MotorBoardHardware, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, FaultyFrames, Frames, check_fault
-from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
-from hil_mocks.plant.plant import Plant
+from hil_mocks.plant.plant import Hand, Plant, Point
 from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wires import Picture
 from hil_mocks.wiring import LOOSE_PART, Channels, LooseCoupling, MotorWires, as_built, wiring_of

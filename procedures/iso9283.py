@@ -32,8 +32,7 @@ from calib.iso9283.programme import (
 )
 from calib.iso9283.recorded import BESIDE, SET, PoseGroup, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document, write_page
-from calib.points.points import TIP
-from calib.points.reading import read_points, require_recorded_of
+from calib.points.points import TIP, read_points, require_recorded_of
 from calib.points.writer import PointsWriter, cell
 from calib.results import InputFile, input_file, made_today
 from calib.session.take import SessionSettings

@@ -17,8 +17,7 @@ import numpy as np
 from calib.arm_problem.assembly import base_frame_of
 from calib.arm_problem.observations import Frame
 from calib.arrays import frozen
-from calib.points.points import Points, joined, make_points
-from calib.points.reading import read_points
+from calib.points.points import Points, joined, make_points, read_points
 from calib.points.writer import PointsWriter
 from calib.session.plan import Target
 from calib.session.take import SessionSettings

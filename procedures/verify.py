@@ -10,8 +10,7 @@ from calib.arm_problem.joint_effects import LAWS
 from calib.distance_calibration import compare_lengths
 from calib.distances import WireKnowledge, has_readings
 from calib.errors import CalibrationError
-from calib.points.points import Points
-from calib.points.reading import points_for
+from calib.points.points import Points, points_for
 from calib.points.writer import write_points
 from calib.report.report import Verification, write_verification_json, write_verification_report
 from calib.results import InputFile, input_file, made_today

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib.gap.log import LOG
-from calib.points.reading import POINTS
+from calib.points.points import POINTS
 from calib.tolerances.making import TolerancesFile
 from console.main import parser
 from control.model.arm import Arm

@@ -22,8 +22,7 @@ from benchmarks.studies import add_options
 from calib.arrays import Array
 from calib.calibration import CalibrationPlan, calibrate
 from calib.gap.plan.plan import GENTLE, PlanRequest, recording_plan
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.studies import executor
 from calib.task_planning import Freedom, WayOfPath, WayOfStops, planned_path, planned_stops
 from calib.trust.trust import MapRequest, trust_in

@@ -8,9 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from benchmarks.loop.memory_link import MemoryBus, MemoryByteLink, MemoryFrameLink, byte_pair
-from control.hardware.boards import BoardHardware
+from control.hardware.boards import BoardHardware, Opened
 from control.hardware.connect import add_reference
-from control.hardware.roles import Opened
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard

@@ -26,8 +26,7 @@ from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_ra
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
 from calib.identify.objective import Huber, Objective
-from calib.points.points import Points, make_points, require_radians
-from calib.points.reading import beyond, read_points
+from calib.points.points import Points, beyond, make_points, read_points, require_radians
 from calib.points.writer import DISTANCE, Key
 from control.kinematics.chain import TipSlopes
 from control.kinematics.rotation import logarithms

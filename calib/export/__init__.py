@@ -12,8 +12,7 @@ from typing import Final
 
 from calib.errors import CalibrationError
 from calib.export.formats import mjcf_text, plain_text, urdf_text
-from calib.export.frames import losses
-from calib.export.nearest import nearest_rigid
+from calib.export.rigid import losses, nearest_rigid
 from control.files import write_whole
 from control.model.arm import Arm
 

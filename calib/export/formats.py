@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from calib.errors import CalibrationError
-from calib.export.frames import (
+from calib.export.rigid import (
     DriveFigures,
     ExportedLink,
     about,

@@ -19,8 +19,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
-from calib.points.points import Points
-from calib.points.reading import IMPORT
+from calib.points.points import IMPORT, Points
 from control.model.arm import Arm, Drive
 from control.tables import SAMPLES_MOST, ColumnGroup, TableColumn, TableFormat, read_table
 

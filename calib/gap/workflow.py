@@ -46,8 +46,7 @@ from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.posterior.told import Told
 from calib.gap.report import GapOutcome, gap_page
 from calib.gap.series.find import decided
-from calib.points.points import Points
-from calib.points.reading import base_points_for
+from calib.points.points import Points, base_points_for
 from calib.results import input_file, made_today
 from control.errors import ArmError
 from control.files import write_whole

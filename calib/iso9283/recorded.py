@@ -13,8 +13,7 @@ from calib.arm_problem.checks import require_columns_meant, require_of_arm
 from calib.arm_problem.observations import mean_rotation
 from calib.arrays import Array, frozen
 from calib.iso9283.pose_criteria import Iso9283Error
-from calib.points.points import TIP, Points, make_points
-from calib.points.reading import IMPORT, beyond
+from calib.points.points import IMPORT, TIP, Points, beyond, make_points
 from calib.results import array_in, read_json
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import SessionError
-from calib.points.points import COVARIANCE, ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
-from calib.points.reading import read_points
+from calib.points.points import COVARIANCE, ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points, read_points
 from control.files import KeptLines, write_whole
 from firmware_iface.link import Closing
 

@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import SessionError
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.points.writer import DISTANCE, Key, PointsWriter, Record, replace_file
 from calib.session.plan import Mark, SessionPlan, SessionState, TargetEvent, from_json, require_same, to_json
 from control.files import KeptLines, parsed_json, read_text

@@ -23,8 +23,7 @@ from calib.arm_problem.observations import Frame, mean_rotation
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
 from calib.errors import CalibrationError
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.results import input_file
 from calib.validation.statistics import Difference, ErrorSummary, difference, improvement_percent, mean_half_width, summarise
 from control.kinematics.kinematics import ForwardKinematics

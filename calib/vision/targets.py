@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
-from calib.points.points import ORIENTATION, TIP
-from calib.points.reading import IMPORT
+from calib.points.points import IMPORT, ORIENTATION, TIP
 from calib.points.writer import replace_file
 from control.files import read_bytes
 from control.kinematics.rotation import matrices

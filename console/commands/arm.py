@@ -94,7 +94,7 @@ def _given_back(arm: Arm, args: argparse.Namespace) -> int:
     """LeRobot's calibration with the zeros with which its model comes nearest to this arm."""
     from calib.arm_import.lerobot import given_back, read_calibration
     from calib.export import write_new
-    from calib.export.nearest import nearest_zeros
+    from calib.export.rigid import nearest_zeros
 
     if not args.lerobot:
         raise ArmError("--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept")
@@ -109,7 +109,7 @@ def _compensation(arm: Arm, args: argparse.Namespace) -> int:
     """The function that makes a program that knows the published arm go where it wants."""
     from calib.export import write_new
     from calib.export.formats import CORRECTED, omitted, python_text
-    from calib.export.nearest import nearest_rigid
+    from calib.export.rigid import nearest_rigid
 
     if not args.generic:
         raise ArmError("--export python: give the arm that the program plans with, such as --generic so101")

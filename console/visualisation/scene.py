@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from calib.export import export_text
-from calib.export.frames import end_names
+from calib.export.rigid import end_names
 from console.visualisation.series import Array
 from console.visualisation.snapshots import TipsOf, Traces, tips_in
 from control.model.arm import Arm

@@ -13,13 +13,12 @@ from typing import Final, Protocol
 from control.dynamics.gains import volt_gains_of
 from control.errors import ArmError, MissingModel
 from control.hardware.board_stop import board_stop, knows_motor
-from control.hardware.boards import BoardHardware
+from control.hardware.boards import BoardHardware, Line, Opened, collect
 from control.hardware.bought import cia402, moteus, odrive, roboclaw, vesc
 from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.gripper import GripperBoard, gripper_of
 from control.hardware.interface import EndBoards, GripperHardware, NamedPins, Wanted
 from control.hardware.reference_boards import DriveWiring, ReferenceDrives, ReferenceEncoders, start_stream
-from control.hardware.roles import Line, Opened, collect
 from control.hardware.tip_camera import TipCamera, open_camera
 from control.model.arm import Arm, Board, CanBus, EncoderBoardPort
 from control.model.cell import Cell

@@ -9,6 +9,7 @@ import math
 from typing import Protocol, cast
 
 from control.hardware.board_stop import BoardStop
+from control.hardware.boards import Drives, Encoders, Opened, collect
 from control.hardware.interface import (
     OPERATION_ENABLED,
     STATE_MASK,
@@ -19,7 +20,6 @@ from control.hardware.interface import (
     TorqueWithTheArm,
     Wanted,
 )
-from control.hardware.roles import Drives, Encoders, Opened, collect
 from control.model.arm import Drive
 from control.model.drive import JointMap
 from control.model.end_effector import Gripper

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from control.dynamics.gains import Gains
 from control.hardware.board_stop import board_stop, can_hold
+from control.hardware.boards import Opened
 from control.hardware.interface import Feedback, OutputMode, Wanted
-from control.hardware.roles import Opened
 from control.model.arm import Drive
 from control.model.drive import JointMap
 from firmware_iface.clock import Clock
@@ -31,7 +31,7 @@ def start_stream(encoder: EncoderBoard, period_s: float) -> None:
 
 
 class ReferenceEncoders:
-    """One encoder board; meets `control.hardware.roles.Encoders` and `Line`."""
+    """One encoder board; meets `control.hardware.boards.Encoders` and `Line`."""
 
     is_asked = False
 
@@ -131,7 +131,7 @@ class DriveWiring:
 
 
 class ReferenceDrives:
-    """The motor boards of one bus; meets `control.hardware.roles.Drives` and `Line`."""
+    """The motor boards of one bus; meets `control.hardware.boards.Drives` and `Line`."""
 
     def __init__(
         self, opened: Opened, bus: MotorBus, wiring: Sequence[DriveWiring], problems: list[LinkError] | None = None

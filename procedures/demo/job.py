@@ -11,8 +11,7 @@ from calib.arm_problem.assembly import problem_of
 from calib.arrays import norms
 from calib.calibration import verification_json, write_calibrated_arm, write_calibration_json
 from calib.identify.identification import Identification, identify
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.report.report import ReportData, write_report
 from calib.results import Provenance, input_file, made_today
 from calib.session.conduct import Boards, conduct

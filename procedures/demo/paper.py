@@ -14,8 +14,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, norms
 from calib.calibration import write_calibrated_arm
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.points.writer import PointsWriter
 from calib.results import input_file, made_today, write_json
 from calib.session.take import board_points

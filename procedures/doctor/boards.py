@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from functools import partialmethod
 
 from control.hardware.board_stop import knows_motor
+from control.hardware.boards import Encoders, Opened
 from control.hardware.connect import open_boards as open_kinds
 from control.hardware.interface import Feedback
 from control.hardware.reference_boards import start_stream
-from control.hardware.roles import Encoders, Opened
 from control.model.arm import Arm, Drive, EncoderBoardPort
 from control.model.drive import JointMap
 from firmware_iface.can_link import open_can

@@ -24,7 +24,7 @@ from control.server.channel import Message
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
-from hil_mocks.plant.hand import Point
+from hil_mocks.plant.plant import Point
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, GripperTable, Scenario, Start, load_scenario
 from procedures.mock import on_wires

@@ -20,7 +20,7 @@ from control.safety.collision import ArmBody, least_gap, pairs_between
 from control.safety.modes import Mode
 from control.server.client import ArmClient
 from firmware_iface.errors import LinkError
-from hil_mocks.plant.hand import Point
+from hil_mocks.plant.plant import Point
 from hil_mocks.scenario import FaultTable, Start, load_scenario
 from procedures.drills import drill
 from procedures.guiding import PERIOD_S as FOLLOWS_S

@@ -23,7 +23,7 @@ from calib.session.residual_watch import ResidualWatch
 from control.errors import ArmError
 from control.safety.modes import Mode
 from firmware_iface.errors import LinkError
-from hil_mocks.plant.hand import Point
+from hil_mocks.plant.plant import Point
 from procedures.drills import drill
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
 

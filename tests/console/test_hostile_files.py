@@ -17,8 +17,8 @@ from calib.boards import read_boards, read_markers
 from calib.errors import PointsFileError, SessionError
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
-from calib.points import reading
-from calib.points.reading import read_points
+from calib.points import points
+from calib.points.points import read_points
 from calib.session.folder import SessionFolder
 from console.places import read_places
 from control.files import read_text
@@ -123,7 +123,7 @@ def test_a_file_of_gigabytes_is_refused_by_its_size(tmp_path: Path) -> None:
 
 
 def test_a_time_series_is_not_taken_for_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "POINTS", dataclasses.replace(reading.POINTS, most_rows=1000))
+    monkeypatch.setattr(points, "POINTS", dataclasses.replace(points.POINTS, most_rows=1000))
     file = tmp_path / "points.csv"
     file.write_text("setup,point,repeat,q1_rad\n" + "a,1,1,0.5\n" * 1005)
     with pytest.raises(PointsFileError, match="more than 1000 points"):

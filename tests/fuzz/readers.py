@@ -16,7 +16,7 @@ from calib.distances import has_readings, readings_of
 from calib.gap.log import read_log
 from calib.history import read_history
 from calib.iso9283.recorded import read_rectangle, read_runs
-from calib.points.reading import points_for, read_points
+from calib.points.points import points_for, read_points
 from calib.session.folder import JOURNAL, POINTS, SessionFolder
 from calib.session.moves import read_free_poses
 from calib.session.plan import SessionPlan, board_targets

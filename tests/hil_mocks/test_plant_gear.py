@@ -7,8 +7,7 @@ import math
 import pytest
 
 from hil_mocks.plant.build import PlantOptions
-from hil_mocks.plant.hand import Point
-from hil_mocks.plant.plant import Plant
+from hil_mocks.plant.plant import Plant, Point
 from tests.hil_mocks.pendulum import (
     COM_M,
     LENGTH_M,

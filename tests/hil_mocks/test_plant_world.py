@@ -14,9 +14,8 @@ from control.model.description import load_arm
 from hil_mocks.errors import MockError
 from hil_mocks.plant.build import ArmToBuild, PlantOptions, build
 from hil_mocks.plant.effects import EffectEntry, gather
-from hil_mocks.plant.hand import BasePose
 from hil_mocks.plant.parts import ArmParts, LinkParts, PlantTool, parts_of
-from hil_mocks.plant.plant import Plant
+from hil_mocks.plant.plant import BasePose, Plant
 from tests.hil_mocks.pendulum import drive
 
 G, EI, L = 9.81, 150.0, 0.5

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.errors import SessionError
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from calib.points.writer import PointsWriter
 from calib.session.take import SessionSettings
 from control.errors import ArmError

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import armwright
-from calib.points.points import make_points
-from calib.points.reading import read_points
+from calib.points.points import make_points, read_points
 from calib.points.writer import write_points
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics

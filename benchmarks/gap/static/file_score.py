@@ -37,8 +37,7 @@ from calib.errors import CalibrationError
 from calib.gap.finding import with_totals
 from calib.gap.poses.recordings import split
 from calib.gap.workflow import Recordings, find_gap_in, write_gap
-from calib.points.points import Points
-from calib.points.reading import base_points_for
+from calib.points.points import Points, base_points_for
 from calib.validation.verify import measuring_frame, predicted_tips
 from control.errors import ArmError
 from control.model.arm import Arm, Effect, Tool

@@ -26,8 +26,7 @@ from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.history import geometry_of
 from calib.identify.objective import objective_named
-from calib.points.points import Points
-from calib.points.reading import points_for
+from calib.points.points import Points, points_for
 from calib.points.writer import write_points
 from calib.report.report import write_report
 from calib.results import InputFile, input_file, made_today

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from calib.errors import VisionError
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from calib.points.writer import write_points
 from calib.results import input_file, made_today
 from calib.vision import targets

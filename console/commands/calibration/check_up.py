@@ -13,8 +13,7 @@ from calib.checkup import POSES, checkup_plan, decide, decision_json, expectatio
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
 from calib.history import read_history
-from calib.points.points import Points
-from calib.points.reading import points_for
+from calib.points.points import Points, points_for
 from calib.results import write_json
 from calib.trend import as_text, trend_json, trend_of
 from console.commands.calibration.gap import REAL_SPEED, recorded

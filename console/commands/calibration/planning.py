@@ -18,8 +18,7 @@ from calib.design.information import NAMES, Uncertainty
 from calib.design.plan import Plan, in_words, known_to, plan_json, write_plan
 from calib.design.planning import Request, plan_poses
 from calib.errors import CalibrationError
-from calib.points.points import Points
-from calib.points.reading import base_points_for
+from calib.points.points import Points, base_points_for
 from calib.results import input_file, made_today
 from calib.task_planning import Freedom, StopsPlan, planned_path, planned_stops
 from calib.trust.prediction import Path as TaskPath

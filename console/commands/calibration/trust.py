@@ -7,8 +7,7 @@ from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
-from calib.points.points import Points
-from calib.points.reading import base_points_for, points_for
+from calib.points.points import Points, base_points_for, points_for
 from calib.results import InputFile, input_file, made_today, write_json
 from calib.studies import ChunkStore, executor, run_study
 from calib.tolerances.making import TolerancesFile, as_designed, own_tolerances, parse_tolerances, tolerances_text

@@ -9,8 +9,8 @@ from typing import Protocol, TypeVar
 
 from control.errors import MissingModel
 from control.hardware import interface
+from control.hardware.boards import AskedEncoders, Line, Opened
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import AskedEncoders, Line, Opened
 from control.model.arm import Drive
 from control.model.drive import JointMap
 from firmware_iface.clock import Clock
@@ -51,7 +51,7 @@ class CanNode(CountingNode, Protocol):
 
 
 class BusLine:
-    """The bus, as the loop drains it; meets `control.hardware.roles.Line`."""
+    """The bus, as the loop drains it; meets `control.hardware.boards.Line`."""
 
     def __init__(self, bus: Line) -> None:
         self.update = bus.update
@@ -59,7 +59,7 @@ class BusLine:
 
 
 class NodeEncoder(AskedEncoders):
-    """The encoder of a board, whose zero is kept here; meets `control.hardware.roles.Encoders`."""
+    """The encoder of a board, whose zero is kept here; meets `control.hardware.boards.Encoders`."""
 
     def __init__(self, board: CountingNode, joint: int, is_absolute: bool = False, is_asked: bool = False) -> None:
         """`is_absolute`: its count at power-up is the joint's, so that its zero is always known."""
@@ -107,7 +107,7 @@ class NodeEncoder(AskedEncoders):
 class NodeDrive(ABC):
     """One motor of a board without states or with fewer than the loop's: faults are kept here.
 
-    Meets `control.hardware.roles.Drives`, with what a kind adds.
+    Meets `control.hardware.boards.Drives`, with what a kind adds.
     """
 
     def __init__(self, board: CanNode, encoder: NodeEncoder | None, drive: Drive) -> None:
@@ -234,7 +234,7 @@ class SetPointSpeed:
 
 
 class PositionLoopDrive(NodeDrive):
-    """One motor; meets `control.hardware.roles.Drives`, with what a kind adds."""
+    """One motor; meets `control.hardware.boards.Drives`, with what a kind adds."""
 
     def __init__(self, board: CanNode, encoder: NodeEncoder | None, drive: Drive, speed: SetPointSpeed) -> None:
         """`encoder`: the board's own, None if the loop uses another."""

@@ -8,9 +8,9 @@ import math
 from collections.abc import Callable, Sequence
 
 from control.hardware import interface
+from control.hardware.boards import Opened, collect
 from control.hardware.bought.can_node import NodeEncoder, open_bus
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from control.model.drive import JointMap
 from firmware_iface.can_link import open_can
@@ -73,7 +73,7 @@ class Cia402Encoder(NodeEncoder):
 
 
 class Cia402Joint:
-    """One drive; meets `control.hardware.roles.Drives`."""
+    """One drive; meets `control.hardware.boards.Drives`."""
 
     def __init__(self, drive: Cia402Drive, encoder: NodeEncoder, described: Drive, period_s: float, watchdog_s: float) -> None:
         self._joint, self._drive, self._encoder = described.joint - 1, drive, encoder

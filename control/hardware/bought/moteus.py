@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from control.hardware import interface
+from control.hardware.boards import Opened, collect
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, SetPointSpeed, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from firmware_iface import moteus
 from firmware_iface.can_link import open_fd_can
@@ -86,7 +86,7 @@ def _require_settings(board: Moteus, drive: Drive) -> str:
 
 
 class MoteusDrive(PositionLoopDrive):
-    """One motor; meets `control.hardware.roles.Drives`."""
+    """One motor; meets `control.hardware.boards.Drives`."""
 
     def __init__(self, board: Moteus, encoder: NodeEncoder | None, drive: Drive, speed: SetPointSpeed, watchdog_s: float) -> None:
         """`encoder`: the board's own, None if the loop uses another."""

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from control.hardware import interface
+from control.hardware.boards import Opened, collect
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, SetPointSpeed, open_bus, own_encoder
-from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from firmware_iface.can_link import open_can
 from firmware_iface.odrive import Error, OdriveAxis, OdriveBus
@@ -31,7 +31,7 @@ SPEED_MARGIN: Final = 2.0  # of the board's speed limit over the joint's: the lo
 
 
 class OdriveDrive(PositionLoopDrive):
-    """One motor; meets `control.hardware.roles.Drives`."""
+    """One motor; meets `control.hardware.boards.Drives`."""
 
     def __init__(self, axis: OdriveAxis, encoder: NodeEncoder | None, drive: Drive, speed: SetPointSpeed) -> None:
         """`encoder`: the board's own, None if the loop uses another."""

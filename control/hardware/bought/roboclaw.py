@@ -9,9 +9,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from control.hardware import interface
+from control.hardware.boards import AskedEncoders, Opened, collect
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, on_line, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import AskedEncoders, Opened, collect
 from control.model.arm import Board, Drive
 from control.model.drive import OWN_INPUT
 from firmware_iface import roboclaw
@@ -53,7 +53,7 @@ def cycle_s(boards: int, baud: int, with_switch: int = 0) -> float:
 
 
 class RoboClawEncoders(AskedEncoders):
-    """The encoder inputs of one board; meets `control.hardware.roles.Encoders`."""
+    """The encoder inputs of one board; meets `control.hardware.boards.Encoders`."""
 
     def __init__(self, board: RoboClaw, drives: Mapping[int, Drive]) -> None:
         """`drives`: those whose encoder is on this board, by joint (0-based)."""
@@ -101,7 +101,7 @@ class RoboClawEncoders(AskedEncoders):
 
 
 class RoboClawDrives:
-    """The motors of one board; meets `control.hardware.roles.Drives`."""
+    """The motors of one board; meets `control.hardware.boards.Drives`."""
 
     def __init__(self, board: RoboClaw, drives: Mapping[int, Drive], timeout_s: float, shout: Callable[[bytes], None]) -> None:
         """`drives`: of each joint (0-based); `timeout_s`: of the board; `shout` sends a packet at once."""

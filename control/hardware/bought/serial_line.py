@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
-from control.hardware.roles import Opened, collect
+from control.hardware.boards import Opened, collect
 from control.model.arm import Board
 from firmware_iface.errors import LinkError, MisuseError
 from firmware_iface.link import ByteLink
@@ -23,7 +23,7 @@ class AskedBoard(Protocol):
 
 
 class PolledBoards:
-    """A line, as the loop drains it; meets `control.hardware.roles.Line` and `AskedLine`."""
+    """A line, as the loop drains it; meets `control.hardware.boards.Line` and `AskedLine`."""
 
     def __init__(self, line: PolledLine, boards: Iterable[AskedBoard], post_cycle: Callable[[], None]) -> None:
         """`post_cycle` queues the questions of a cycle."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, TypeVar
 
+from control.hardware.boards import AskedEncoders, Opened, collect
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, on_line, open_lines, require_fit
 from control.hardware.interface import (
     EMERGENCY_STOP,
@@ -28,7 +29,6 @@ from control.hardware.interface import (
     Wanted,
     as_counter,
 )
-from control.hardware.roles import AskedEncoders, Opened, collect
 from control.model.arm import Board, Drive
 from control.model.drive import JointMap
 from firmware_iface.clock import Clock
@@ -57,7 +57,7 @@ class Torque(Enum):
 
 
 class ServoEncoder(AskedEncoders):
-    """The absolute encoder of a servo; meets `control.hardware.roles.Encoders`."""
+    """The absolute encoder of a servo; meets `control.hardware.boards.Encoders`."""
 
     def __init__(self, servo: SmartServo, joint: int) -> None:
         self.joints = (joint,)
@@ -91,7 +91,7 @@ class ServoEncoder(AskedEncoders):
 
 
 class ServoDrive:
-    """One servo; meets `control.hardware.roles.Drives`."""
+    """One servo; meets `control.hardware.boards.Drives`."""
 
     def __init__(self, servo: SmartServo, encoder: ServoEncoder, drive: Drive, watchdog_s: float, fault_of: FaultMap) -> None:
         self._servo, self._encoder, self._joint = servo, encoder, drive.joint - 1

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from control.hardware import interface
+from control.hardware.boards import Opened, collect
 from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.roles import Opened, collect
 from control.model.arm import Board, Drive
 from control.model.drive import JointMap
 from firmware_iface import vesc
@@ -33,7 +33,7 @@ FAULT_STOP_S: Final = 0.6  # a VESC stops for 0.5 s after a fault (VESC Tool), t
 
 
 class VescDrive(NodeDrive):
-    """One motor; meets `control.hardware.roles.Drives`."""
+    """One motor; meets `control.hardware.boards.Drives`."""
 
     def __init__(self, board: Vesc, encoder: NodeEncoder | None, drive: Drive, bus: VescBus) -> None:
         """`encoder`: the board's own, None if the loop uses another."""

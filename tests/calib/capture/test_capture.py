@@ -18,7 +18,7 @@ from calib.capture.poses import believed, poses_at_rest
 from calib.capture.tracks import BodyTrack, Capture, CaptureError, fitted_body, read_c3d, read_vicon_csv, relative
 from calib.gap.log import read_log
 from calib.identify.identification import identify
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from console.main import main
 from control.model.description import save_arm
 from control.model.end_effector import Camera, CameraStream

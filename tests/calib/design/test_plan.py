@@ -25,8 +25,7 @@ from calib.design.plan import in_words, plan_json, write_plan
 from calib.design.planning import Request, plan_poses
 from calib.errors import CalibrationError
 from calib.identify.objective import LeastSquares, SumOfDistances
-from calib.points.points import make_points
-from calib.points.reading import read_points
+from calib.points.points import make_points, read_points
 
 UNKNOWN = dataclasses.replace(ARM, table=dataclasses.replace(ARM.table, known_pose=False))
 EVERYWHERE = workspace_poses(ARM, [], 300)

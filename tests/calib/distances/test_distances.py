@@ -25,8 +25,7 @@ from calib.arm_problem.assembly import Choice
 from calib.distance_calibration import DistancePlan, compare_lengths, distances_text
 from calib.distances import WireKnowledge, readings_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.points.writer import write_points
 from console.main import main
 from control.model.description import load_arm, save_arm

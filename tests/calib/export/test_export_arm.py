@@ -245,7 +245,7 @@ def test_a_joint_without_limits_turns_freely() -> None:
 
 
 def export_losses(arm: Arm, form: str) -> tuple[str, ...]:
-    from calib.export.frames import losses
+    from calib.export.rigid import losses
 
     return losses(arm, form)
 

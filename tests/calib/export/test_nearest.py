@@ -12,7 +12,7 @@ import pytest
 from calib.arm_problem.arm_model import dh_names
 from calib.export import FORMS, export_text, exported
 from calib.export.formats import CORRECTED, python_text
-from calib.export.nearest import nearest_rigid, nearest_zeros
+from calib.export.rigid import nearest_rigid, nearest_zeros
 from calib.points.points import Points, make_points
 from calib.validation.verify import predicted_orientations, predicted_tips
 from console.main import main

@@ -20,8 +20,7 @@ from calib.identify.objective import objective_named
 from calib.identify.outliers import find_outliers
 from calib.iso9283.evaluate_poses import pose_criterion
 from calib.iso9283.recorded import pose_groups
-from calib.points.points import Points, make_points
-from calib.points.reading import read_points
+from calib.points.points import Points, make_points, read_points
 from calib.points.writer import write_points
 from calib.validation.verify import compare_turns
 from control.kinematics.kinematics import ForwardKinematics

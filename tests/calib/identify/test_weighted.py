@@ -16,8 +16,7 @@ from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify
 from calib.identify.objective import objective_named
 from calib.identify.solver import best_of_starts, prior_of
-from calib.points.points import COVARIANCE, Points, make_points, matrices_of, triangles
-from calib.points.reading import base_points_for, points_for, read_points
+from calib.points.points import COVARIANCE, Points, base_points_for, make_points, matrices_of, points_for, read_points, triangles
 from calib.points.writer import write_points
 from calib.validation.verify import compare_arms
 from control.kinematics.kinematics import ForwardKinematics

@@ -16,8 +16,7 @@ from calib.iso9283.pose_criteria import Iso9283Error
 from calib.iso9283.programme import TestCube, solver_of
 from calib.iso9283.recorded import BESIDE, SET, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, summary_text, write_document, write_page
-from calib.points.points import Points, joined, make_points
-from calib.points.reading import read_points
+from calib.points.points import Points, joined, make_points, read_points
 from calib.points.writer import PointsWriter, Record
 from calib.results import made_today
 from control.kinematics.kinematics import ForwardKinematics

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from calib.errors import PointsFileError, SessionError
-from calib.points.points import make_points
-from calib.points.reading import read_points
+from calib.points.points import make_points, read_points
 from calib.points.writer import PointsWriter, Record, write_points
 
 GOOD = "setup,point,repeat,q1_rad,q2_rad,x_m,y_m,z_m\nnormal,1,1,0.1,0.2,0.5,0,0\nroll,2,1,0.3,0.4,,,\n"

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles_for
 from calib.errors import SessionError, UnusablePointsError
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from calib.session import take as sequence
 from calib.session.conduct import Boards
 from calib.session.conversation import GO

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH
 from calib.boards import read_boards
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from calib.session.conduct import Boards
 from calib.session.conversation import GO, Do, SessionCommand, SmallMove
 from calib.session.plan import Mark, board_targets, free_targets

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import SessionError
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from calib.session.folder import SessionFolder
 from calib.session.plan import (
     AFTER,

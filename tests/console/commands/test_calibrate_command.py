@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.validation.verify import errors_of
 from console.main import main
 from control.kinematics.inverse import InverseKinematics

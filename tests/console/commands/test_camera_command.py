@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.points.points import make_points
-from calib.points.reading import read_points
+from calib.points.points import make_points, read_points
 from calib.points.writer import write_points
 from calib.vision.targets import png_of
 from console.main import main

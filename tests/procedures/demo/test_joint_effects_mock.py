@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from calib.arm_problem.joint_effects import corrections
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from calib.points.writer import PointsWriter
 from control.dynamics.static_pose import resting
 from control.errors import MissingModel

@@ -16,8 +16,7 @@ from calib.gap.leads import gears_by_leads
 from calib.gap.log import Log, read_log
 from calib.gap.plan.motions import MotionLimits, collision_free_box, multisine
 from calib.gap.plan.plan import PlannedRun, PlannedVisit, RecordingPlan
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.rotation import logarithms, matrices, quaternions

@@ -17,7 +17,7 @@ from benchmarks.arms import FOUR, SIX, TWO
 from calib.errors import CalibrationError
 from calib.iso9283 import pose_criteria
 from calib.iso9283.programme import Extent, PathRun, TestCube
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from console.main import main
 from control.hardware.measurement import Average
 from control.kinematics.kinematics import ForwardKinematics

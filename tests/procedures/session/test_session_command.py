@@ -10,7 +10,7 @@ import pytest
 
 from calib.arm_problem.assembly import problem_of
 from calib.identify.identification import identify
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm

@@ -10,7 +10,7 @@ import pytest
 
 from calib.arm_problem.observations import Frame, rotation_of
 from calib.calibration import with_placed_stream
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from calib.session.conduct import Boards, Station, conduct
 from calib.session.conversation import GO, Recorded
 from calib.session.folder import SessionFolder

@@ -21,8 +21,7 @@ from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log
 from calib.gap.poses.find import find as find_in_poses
 from calib.gap.series.find import find as find_in_motion
-from calib.points.points import Points
-from calib.points.reading import read_points
+from calib.points.points import Points, read_points
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.effects import EFFECTS

@@ -10,7 +10,7 @@ from calib.gap.finding import EffectName
 from calib.gap.log import Log, read_log
 from calib.gap.poses.find import find as find_in_poses
 from calib.gap.series.find import DynamicOutcome, examine
-from calib.points.reading import read_points
+from calib.points.points import read_points
 from control.model.arm import Effect
 from control.model.description import load_arm
 from tests.places import REAL
