@@ -12,8 +12,18 @@ import numpy as np
 
 from calib.report.page import AFTER, BEFORE, Section, bullets, page, pair, paragraph, svg, table
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.gains import Gains, gains_of, has_play_in_loop
-from control.dynamics.tuning import LoopDesign, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins
+from control.dynamics.gains import (
+    Gains,
+    LoopDesign,
+    Margins,
+    MarginsUnmet,
+    MotorFit,
+    Tuner,
+    fit_motor,
+    gains_of,
+    has_play_in_loop,
+    margins,
+)
 from control.errors import ArmError, MissingModel
 from control.files import write_whole
 from control.model.arm import Arm, DrivePid

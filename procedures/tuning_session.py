@@ -14,7 +14,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from control.dynamics.tuning import Response
+from control.dynamics.gains import Response
 from control.errors import ArmError
 from control.hardware.connect import connect
 from control.hardware.interface import Hardware, OutputMode, Wanted

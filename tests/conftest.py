@@ -115,7 +115,7 @@ def _live_in(home: Path, patch: pytest.MonkeyPatch) -> None:
 def nobody_below() -> Iterator[None]:
     """A shutdown does not wait until the arm has sunk: for modules whose claims are others."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("control.loop.standstill.SINK_LIMIT_S", 0.6)
+        patch.setattr("control.loop.drives.SINK_LIMIT_S", 0.6)
         yield
 
 

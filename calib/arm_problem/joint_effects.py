@@ -40,10 +40,9 @@ from calib.settling import Settling
 from control.dynamics.dynamics import has_masses
 from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.dynamics.static_pose import RestingPose, resting
-from control.kinematics.smooth_table import pieces
 from control.model.arm import Arm, Effect
 from control.model.effects import COUPLED, COUPLED_TO, EFFECTS, backlash_rad, compliance_rad, linear_values, moved_joint, place_of
-from control.model.maps import CorrectionMap
+from control.model.maps import CorrectionMap, pieces
 from control.model.tolerances import TOLERANCE_OF, Spread
 
 if TYPE_CHECKING:

@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from control.dynamics.dynamics import Dynamics
-from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm, Drive, Effect, Link, Tool, Vector3
 from control.model.effects import EFFECTS, Torque, corrected, direction
-from control.model.maps import CorrectionMap
+from control.model.maps import CorrectionMap, SmoothTable
 
 FED_FORWARD: Final = corrected("torque")
 Torques = tuple[float, ...]

@@ -22,9 +22,9 @@ from typing import Final, Self
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.feedforward import links_alone, own_payload_kg, torque_constants_Nm_A
 from control.errors import ArmError
-from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm
 from control.model.effects import COUPLED, COUPLED_TO, corrected, linear_values
+from control.model.maps import SmoothTable
 
 RIGID_EFFECTS: Final = corrected("encoder")
 _COUPLED, _COUPLED_TO = COUPLED - 1, COUPLED_TO - 1

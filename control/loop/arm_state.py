@@ -19,10 +19,9 @@ from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.loop import cross_checks
-from control.loop.drives import Bound, DriveStates
+from control.loop.drives import Bound, DriveStates, Standstill
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
-from control.loop.standstill import Standstill
 from control.loop.watch import Watch
 from control.model.arm import Tool
 from control.motion.guard import Guard

@@ -1,4 +1,5 @@
-"""What is wanted of the drives, and whether they are there: the one record of it, and the comparison in every cycle.
+"""What is wanted of the drives, and whether they are there: the one record of it, and the comparison in every cycle;
+and whether the arm rests, for which the way off waits between its steps.
 
 `drives_wanted` derives it from the mode and from where the arm is on its way to; so OFF cannot leave a drive on, whatever was
 asked before and however requests cross. Only a take-over of boards that hold the arm sets it itself, as it begins: nothing leads
@@ -144,3 +145,29 @@ class DriveStates:
 
 def _is_enabled(feedback: Feedback, joint: int) -> bool:
     return feedback.statusword[joint] & STATE_MASK == OPERATION_ENABLED
+
+
+STILL_S = 0.5
+STILL_rad_s = 0.02  # one count of the reference arm in one cycle is 0.015 rad/s
+# Shorted windings lower the reference arm from any pose within this time; its encoders may be dead.
+SINK_LIMIT_S = 15.0
+
+
+class Standstill:
+    """Follows the joints' speeds since the mode was entered at `mode_from_s`."""
+
+    def __init__(self) -> None:
+        self.mode_from_s = 0.0
+        self._still_from_s = 0.0
+
+    def enter_mode(self, now_s: float) -> None:
+        """Restart the detection because a mode was entered."""
+        self.mode_from_s = self._still_from_s = now_s
+
+    def is_still(self, now_s: float, speed_rad_s: Sequence[float]) -> bool:
+        """Whether nothing has moved for a while, or so much time has passed that any arm has come to rest."""
+        if now_s - self.mode_from_s > SINK_LIMIT_S:
+            return True
+        if any(abs(speed) > STILL_rad_s for speed in speed_rad_s):
+            self._still_from_s = now_s
+        return now_s - self._still_from_s >= STILL_S

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.gains import Gains, POLE_rad_s, gains_of, placed_gains, volt_gains_of
-from control.dynamics.tuning import controller, margins
+from control.dynamics.gains import Gains, POLE_rad_s, controller, gains_of, margins, placed_gains, volt_gains_of
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive, DrivePid
 from control.model.description import load_arm

@@ -7,8 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from control.dynamics.gains import Gains
-from control.dynamics.tuning import Margins, MarginsUnmet, MotorFit, Response, Tuner, controller, fit_motor, margins, pole_gains
+from control.dynamics.gains import (
+    Gains,
+    Margins,
+    MarginsUnmet,
+    MotorFit,
+    Response,
+    Tuner,
+    controller,
+    fit_motor,
+    margins,
+    pole_gains,
+)
 from control.errors import ArmError
 from control.hardware.measurement import Measurement
 from control.servo import Pid

@@ -4,7 +4,7 @@ from math import cos, sin, tau
 
 import pytest
 
-from control.kinematics.smooth_table import SmoothTable
+from control.model.maps import SmoothTable
 
 VALUES = (0.001, -0.002, 0.0005, 0.003, 0.003, -0.001, 0.0)
 TABLE, RING = SmoothTable(VALUES, -1.0, 2.0), SmoothTable(VALUES, 0.0, tau, is_periodic=True)

@@ -44,6 +44,7 @@ def test_drives_are_ready_once_all_are_enabled_and_stay_so_until_they_are_doubte
     drives = DriveStates(("joint 1", "joint 2"))
     assert drives.follow(0.0, states(ENABLED, ENABLED)) == []
     assert not drives.is_ready  # nobody asked
+    assert not drives.is_taken_over
     drives.want(8.0, Wanted.ENABLING)
     assert drives.follow(8.5, states(ENABLED, SWITCHED_ON)) == []
     assert not drives.is_ready

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from control.loop import standstill as stillness
+from control.loop import drives
 from control.model.arm import Limits
 from control.safety.modes import Event, Mode
 from control.server.client import ArmFaulted, RequestRefused
@@ -261,7 +261,7 @@ def test_with_a_link_gone_for_good_the_runtime_can_still_be_ended(moving: Cell, 
         raise LinkLost("serial port /dev/ttyACM0: gone")
 
     monkeypatch.setattr(moving.connection.encoders[0], "update", lost)
-    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 1.0)
+    monkeypatch.setattr(drives, "SINK_LIMIT_S", 1.0)
     moving.until_fault(2 * CYCLE_s)
     moving.client.ask("off", quit=True)
     moving.until(lambda: not moving.channel.is_running, 1.0 + 5 * CYCLE_s)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from control.loop import standstill as stillness
+from control.loop import drives
 from control.model.arm import Arm
 from control.safety.modes import Mode
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario, with_drives
@@ -36,7 +36,7 @@ def test_off_while_a_stretched_arm_moves_stops_holds_brakes_and_lets_it_sink(mon
         cell.start_move((0.5, -0.4, 0.4))
         cell.run(0.1)
         modes, speeds = modes_of(cell), cell.true_speeds()
-        monkeypatch.setattr(stillness, "SINK_LIMIT_S", 3.0)
+        monkeypatch.setattr(drives, "SINK_LIMIT_S", 3.0)
         cell.client.off()
         stopped = next(k for k, speed in enumerate(speeds) if speed < 0.05)
         cell.run(0.05)
@@ -120,7 +120,7 @@ def test_a_held_fault_goes_off_through_braking_and_waits_until_the_arm_has_sunk(
 
 
 def test_a_joint_whose_coarse_encoder_hunts_does_not_keep_the_arm_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stillness, "SINK_LIMIT_S", 1.0)
+    monkeypatch.setattr(drives, "SINK_LIMIT_S", 1.0)
     with holding_cell(scenario(STRETCHED), with_drives(RIGHT, encoder_counts_per_rev=64)) as cell:
         cell.client.ask("off")
         cell.until(lambda: cell.mode is Mode.OFF, 3.0)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from control.loop.standstill import Standstill
+from control.loop.drives import Standstill
 
 STEP_S = 0.0625
 SLOW_rad_s, FAST_rad_s = 0.02, 0.02 + 2**-40

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from console.main import main
-from control.dynamics.gains import gains_of
-from control.dynamics.tuning import MarginsUnmet, MotorFit
+from control.dynamics.gains import MarginsUnmet, MotorFit, gains_of
 from control.errors import ArmError
 from control.model.arm import DrivePid
 from hil_mocks.rig import SteppedRig
