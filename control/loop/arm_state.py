@@ -25,9 +25,8 @@ from control.loop.jogging import Jogging
 from control.loop.watch import Watch
 from control.model.arm import Tool
 from control.motion.guard import Guard
-from control.motion.lookout import Lookout
 from control.motion.pace import Paced
-from control.motion.setpoint import Motion, SetPoint, at_rest
+from control.motion.setpoint import Lookout, Motion, SetPoint, at_rest
 from control.recording.record import Recorder
 from control.safety.limits import SetPointLimits, UniqueTurn
 from control.safety.modes import CONTROLLED_MODES, Event, Mode, Monitor

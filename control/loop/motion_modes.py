@@ -13,9 +13,8 @@ from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
 from control.loop.jogging import JogRequest
 from control.loop.set_points import begin, stop_along, stop_from
-from control.motion.lookout import Lookout
 from control.motion.pace import Limited
-from control.motion.setpoint import Motion, SetPoint
+from control.motion.setpoint import Lookout, Motion, SetPoint
 from control.safety.modes import TRAVELLING_MODES, Event, Fault, Mode, Reaction
 
 WORKSPACE_REMEDY = (

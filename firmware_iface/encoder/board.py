@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from firmware_iface.clock import Clock
-from firmware_iface.encoder import cobs, wire
+from firmware_iface.encoder import wire
 from firmware_iface.encoder.wire import ChannelFlag, IndexAction
 from firmware_iface.errors import (
     BoardRefused,
@@ -307,7 +307,7 @@ class EncoderBoard:
     def _send(self, frame: wire.Request) -> None:
         coded = wire.encode(frame)
         if not self._has_sent:
-            coded = cobs.DELIMITER + coded  # ends a partial frame of a previous host
+            coded = wire.DELIMITER + coded  # ends a partial frame of a previous host
             self._has_sent = True
         self._link.write(coded)
 

@@ -13,6 +13,10 @@ all before it; on the line COBS-coded and ended by 0x00.
                          channels u8, counts_per_turn u32 x 3, encoder_bits u8
     0x83 Ack             request_sequence u8, result u8
     0x84 IndexLatch      channel u8, board_time_us u32, count i32
+
+COBS is Consistent Overhead Byte Stuffing (Cheshire and Baker, IEEE/ACM Trans. Networking 7(2), 1999). A coded block holds no
+0x00, so 0x00 can end it. Each run of up to 254 bytes without a zero is written as its length + 1 and itself; a length below 255
+implies the zero that followed.
 """
 
 import struct
@@ -23,9 +27,10 @@ from enum import IntEnum, IntFlag
 from struct import Struct
 from typing import NamedTuple
 
-from firmware_iface.encoder import cobs
 from firmware_iface.errors import MisuseError
 
+DELIMITER = b"\x00"
+_LONGEST_CODE = 0xFF  # 254 bytes follow, and no zero is implied
 PROTOCOL_VERSION = 1
 CHANNELS = 3
 REPORT_WIRE_BYTES = 25
@@ -184,7 +189,7 @@ def encode(frame: Frame) -> bytes:
         raw = _pack(frame)
     except struct.error as problem:
         raise MisuseError(f"encoder frame {frame}: a number does not fit its field ({problem})") from None
-    return cobs.encode(raw + crc16(raw).to_bytes(2, "little")) + cobs.DELIMITER
+    return cobs_encode(raw + crc16(raw).to_bytes(2, "little")) + DELIMITER
 
 
 def _pack(frame: Frame) -> bytes:
@@ -235,7 +240,7 @@ class Decoder:
         if received.find(0) == len(received) - 1 and not self._rest and not self._is_skipping:
             # The usual case: exactly one whole frame. (-1 = -1 for b"", which holds none.)
             return [frame] if (frame := self._frame(received[:-1])) is not None else []
-        blocks = (self._rest + received).split(cobs.DELIMITER)
+        blocks = (self._rest + received).split(DELIMITER)
         rest = blocks.pop()
         if self._is_skipping and blocks:
             self._is_skipping = False
@@ -251,7 +256,7 @@ class Decoder:
     def _frame(self, block: bytes) -> AnyFrame | None:
         if not block:
             return None
-        framed = cobs.decode(block) if len(block) <= LONGEST_CODED else None
+        framed = cobs_decode(block) if len(block) <= LONGEST_CODED else None
         if framed is None or len(framed) < _SMALLEST_DECODED:
             self.framing_errors += 1
             return None
@@ -270,3 +275,59 @@ class Decoder:
             self.crc_errors += 1
             return None
         return tuple.__new__(Report, (sequence, time_us, (f0, f1, f2), (count0, count1, count2)))
+
+
+def cobs_encode(raw: bytes) -> bytes:
+    """Encode `raw`, without the delimiter; at most len(raw) // 254 + 1 bytes longer."""
+    if len(raw) < _LONGEST_CODE - 1:
+        runs = raw.split(DELIMITER)
+        return b"".join([part for run in runs for part in (bytes((len(run) + 1,)), run)])
+    return _cobs_encode_long(raw)
+
+
+def cobs_decode(coded: bytes) -> bytearray | None:
+    """Decode a block (without its delimiter); None if it is invalid."""
+    size = len(coded)
+    if size >= _LONGEST_CODE:
+        return _cobs_decode_long(coded)
+    # Below 255 bytes each code byte replaces a zero: restore the zeros and drop the first code.
+    # The appended zero ends the loop where a valid block ends; a code that points past it raises IndexError.
+    raw = bytearray(coded + DELIMITER)
+    at = 0
+    try:
+        while code := raw[at]:
+            raw[at] = 0
+            at += code
+    except IndexError:
+        return None
+    return raw[1:at] if at == size and size else None
+
+
+def _cobs_encode_long(raw: bytes) -> bytes:
+    coded = bytearray()
+    runs = raw.split(DELIMITER)
+    for number, run in enumerate(runs):
+        while len(run) >= _LONGEST_CODE - 1:
+            coded.append(_LONGEST_CODE)
+            coded += run[: _LONGEST_CODE - 1]
+            run = run[_LONGEST_CODE - 1 :]
+            if not run and number == len(runs) - 1:
+                return bytes(coded)  # the data ends with a full run: no zero follows
+        coded.append(len(run) + 1)
+        coded += run
+    return bytes(coded)
+
+
+def _cobs_decode_long(coded: bytes) -> bytearray | None:
+    raw = bytearray()
+    at = 0
+    while at < len(coded):
+        code = coded[at]
+        run = coded[at + 1 : at + code]
+        if code == 0 or DELIMITER in run or len(run) != code - 1:
+            return None
+        raw += run
+        at += code
+        if code != _LONGEST_CODE and at < len(coded):
+            raw += DELIMITER
+    return raw

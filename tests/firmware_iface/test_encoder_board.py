@@ -68,7 +68,7 @@ def test_another_protocol_version_is_a_wrong_identity() -> None:
 
 def test_another_protocol_version_is_told_even_if_its_identity_has_another_length() -> None:
     raw = b"\x82\x00\x02" + bytes(40)
-    coded = wire.cobs.encode(raw + wire.crc16(raw).to_bytes(2, "little")) + b"\x00"
+    coded = wire.cobs_encode(raw + wire.crc16(raw).to_bytes(2, "little")) + b"\x00"
     board, _, _ = make([(TX, first(wire.Identify(1))), (RX, coded)])
     with pytest.raises(WrongIdentity, match="protocol version 2"):
         board.identify()
@@ -358,7 +358,7 @@ class TestIndex:
 
 def test_an_unknown_frame_is_a_violation_with_its_bytes_and_costs_no_report() -> None:
     raw = b"\xf0\x07"
-    coded = wire.cobs.encode(raw + wire.crc16(raw).to_bytes(2, "little")) + b"\x00"
+    coded = wire.cobs_encode(raw + wire.crc16(raw).to_bytes(2, "little")) + b"\x00"
     board, link, _ = make([])
     link.push(coded + send(report(8)))
     with pytest.raises(ProtocolViolation, match=r"received: f0 07\)"):

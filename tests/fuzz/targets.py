@@ -18,7 +18,7 @@ from control.recording.record import Layout
 from control.server import messages
 from firmware_iface import camera
 from firmware_iface.can_link import SlcanLink
-from firmware_iface.encoder import cobs, wire
+from firmware_iface.encoder import wire
 from firmware_iface.errors import ArmwrightError, LinkError
 from firmware_iface.mocap import natnet, qtm, vicon
 from firmware_iface.mocap.bodies import BodyFrame, Malformed
@@ -45,7 +45,7 @@ def encoder_stream(content: bytes) -> None:
 
 def cobs_block(content: bytes) -> None:
     """COBS returns None for what is no block."""
-    decoded = cobs.decode(content)
+    decoded = wire.cobs_decode(content)
     assert decoded is None or len(decoded) <= len(content)
 
 

@@ -44,7 +44,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
     "control.safety.collision": ("tests/control/safety/test_collision.py",),
     "control.loop.drives": ("tests/control/loop/test_drives.py", "tests/control/loop/test_standstill.py"),
-    "control.motion.lookout": ("tests/control/motion/test_lookout.py",),
+    "control.motion.setpoint": ("tests/control/motion/test_lookout.py", "tests/control/motion/test_joint_move.py"),
     "control.loop.watch": ("tests/control/loop/test_reactions.py", "tests/control/loop/test_watch.py"),
     "control.loop.cross_checks": ("tests/control/loop/test_reactions.py",),
 }

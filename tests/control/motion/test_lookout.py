@@ -5,9 +5,8 @@ import copy
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
-from control.motion.lookout import AHEAD_s, Lookout, STEP_s
 from control.motion.pace import Stretched
-from control.motion.setpoint import at_rest
+from control.motion.setpoint import AHEAD_s, Lookout, STEP_s, at_rest
 from tests.cell import RIGHT
 
 MOVE = JointMove((0.0, 0.0, 0.0), (2.0, 0.5, 0.5), JointLimits.of(RIGHT))
