@@ -18,7 +18,7 @@ from typing import Final, Protocol
 
 from control.errors import ArmError
 from control.hardware.interface import GripperFeedback, GripperHardware, NamedPins
-from control.model.board_kinds import GRIPPER_PERIOD_s, PIN_PERIOD_s
+from control.model.can_bus import GRIPPER_PERIOD_s, PIN_PERIOD_s
 from control.model.end_effector import Digital, Gripper
 from control.safety.limits import voltage_range
 from control.safety.modes import Fault, Reaction

@@ -19,7 +19,7 @@ from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
 from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm, Drive
-from control.model.board_kinds import USUAL_LOAD, bus_load, good_rate_Hz
+from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz
 from control.model.drive import JointMap
 from control.plain_text import aligned
 from firmware_iface.encoder.wire import REPORT_WIRE_BYTES

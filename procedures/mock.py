@@ -28,7 +28,7 @@ from control.hardware.connect import CellConnection, Connection, connect, connec
 from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort, Vector3
-from control.model.board_kinds import usual_rate_Hz
+from control.model.can_bus import usual_rate_Hz
 from control.model.cell import Cell, Placed
 from control.model.description import arm_text, save_arm
 from control.recording.record import FileSink, about_cell, about_columns, layout_of

@@ -16,7 +16,7 @@ from benchmarks.loop.control_cycle import PARTS, WHOLE, DrainedPipe, Durations, 
 from benchmarks.table import BenchRow
 from control.hardware.connect import connect, connect_cell
 from control.model.arm import Arm
-from control.model.board_kinds import usual_rate_Hz
+from control.model.can_bus import usual_rate_Hz
 from control.model.cell import Cell, load_cell
 from control.server.assemble import assemble, assemble_cell
 from control.server.client import ArmClient

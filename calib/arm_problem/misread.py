@@ -30,9 +30,8 @@ from calib.errors import UnusablePointsError
 from calib.points.points import Points
 from control.kinematics.rotation import matrices, quaternions
 from control.model.arm import Arm
-from control.model.board_kinds import SERVOS
 from control.model.description import arm_names, load_arm
-from control.model.drive import JointMap
+from control.model.drive import SERVOS, JointMap
 from control.plain_text import listed
 
 # A guess about input: what it looks like, the figures for and against, and what settles it.

@@ -12,7 +12,7 @@ from console.commands.progress import answer
 from control.errors import ArmError
 from control.hardware.connect import Connection, connect, link_options, with_links
 from control.model.arm import Arm
-from control.model.board_kinds import USUAL_LOAD, bus_load, good_rate_Hz, usual_rate_Hz
+from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz, usual_rate_Hz
 from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
 from control.server.channel import default_path

@@ -7,7 +7,7 @@ from typing import Any
 
 from console.screen.drawing import Row, Span, row, width_of, wrapped
 from control.model.arm import Arm, Drive
-from control.model.board_kinds import bus_load
+from control.model.can_bus import bus_load
 
 Message = dict[str, Any]
 NEAR = 0.8  # of a limit: warn above

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from control.errors import ArmError, MissingModel
 from control.model import rules
-from control.model.board_kinds import KIND, KINDS, REFERENCE, BoardKind, usual_rate_Hz
-from control.model.board_kinds import CanBus as CanBus
+from control.model.board_kinds import KINDS, REFERENCE, BoardKind
+from control.model.can_bus import CanBus as CanBus
+from control.model.can_bus import usual_rate_Hz
 from control.model.drive import ENCODER_CHANNELS as ENCODER_CHANNELS
 from control.model.drive import Drive as Drive
 from control.model.drive import DrivePid as DrivePid
@@ -156,7 +157,7 @@ class Board:
     """A bought board that drives joints: a kind, and where it is. docs/boards.md has the kinds."""
 
     name: Annotated[str, rules.NAME, "drives name it; each board's own"]
-    kind: Annotated[str, KIND, "docs/boards.md"]
+    kind: Annotated[str, rules.KIND, "docs/boards.md"]
     address: Annotated[int, rules.ZERO_OR_MORE, "on its line: an address, a node id or a servo's id"]
     port: Annotated[str, "on a serial line: a device or any pyserial URL; boards may share it"] = ""
     baud: Annotated[int, rules.ONE_OR_MORE, "of that port"] = 115_200

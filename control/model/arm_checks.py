@@ -5,8 +5,8 @@ import re
 from collections.abc import Hashable, Iterable, Sequence
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Effect, Home, Table
-from control.model.board_kinds import KINDS, SERVOS, BoardKind, bus_conflict
-from control.model.drive import OWN_INPUT, JointMap
+from control.model.board_kinds import KINDS, BoardKind, bus_conflict
+from control.model.drive import OWN_INPUT, SERVOS, JointMap
 from control.model.effects import EFFECTS, EffectKind, parameter_names
 from control.model.end_effector import CameraStream, Gripper
 from control.model.maps import check_map

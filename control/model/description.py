@@ -17,7 +17,7 @@ from control.errors import ArmError, ArmFileError
 from control.files import parsed_toml, read_text, write_whole
 from control.model.arm import Arm
 from control.model.arm_checks import check_arm
-from control.model.board_kinds import with_servo_values, without_servo_values
+from control.model.drive import with_servo_values, without_servo_values
 from control.model.end_effector import read_tools
 from control.model.reader import Path as KeyPath
 from control.model.reader import Rejected, key_lines, keys_of, nearest_line, read_table, show

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from control.model.board_kinds import KINDS
+
 
 @dataclass(frozen=True, slots=True)
 class Rule:
@@ -86,6 +88,7 @@ ZERO_OR_MORE: Final = Rule("a whole number not below 0", lambda n: n >= 0)
 ONE_OR_MORE: Final = Rule("a whole number of 1 or more", lambda n: n >= 1)
 ROTATE_BYTES: Final = Rule("a size of at least 1000000 bytes", lambda n: n >= 1_000_000)
 DIRECTION: Final = Rule("1 or -1", lambda n: n in (1, -1))
+KIND: Final = Rule(f"a kind of board: {', '.join(KINDS)}", lambda kind: kind in KINDS)
 NODE: Final = Rule("a motor node from 1 to 15", lambda n: 1 <= n <= 15)
 PIN: Final = Rule("a pin from 0 to 7", lambda n: 0 <= n <= 7)
 ENCODER_BITS: Final = Rule("a counter width from 8 to 32 bits (a report has 32)", lambda n: 8 <= n <= 32)

@@ -7,7 +7,7 @@ from statistics import fmean, median, pstdev
 from control.hardware.interface import QUADRATURE_ERROR, SIGNAL_LOST
 from control.loop.watch import DRIVE_FAULTS
 from control.model.arm import Arm, Drive
-from control.model.board_kinds import FRAME_bits
+from control.model.can_bus import FRAME_bits
 from firmware_iface.encoder import wire
 from procedures.doctor.boards import BoardSamples, EncoderSamples, MotorSamples
 from procedures.doctor.finding import SUPPLY_LIMITS, Finding, Level, graded, percentile

@@ -15,9 +15,9 @@ import numpy as np
 from calib.arm_import.dh_rows import Axis
 from calib.arm_import.serial_arm import Mass, SerialArm, TreeJoint
 from control.dynamics.dynamics import Dynamics
-from control.model import board_kinds
 from control.model.arm import Arm, Drive, Home
 from control.model.board_kinds import KINDS
+from control.model.drive import SERVOS as DATA_SHEETS
 from procedures.new_arm.answers import ChosenParts, Shape
 from procedures.on_boards import REFERENCE, HOMING_SPEED_rad_s
 
@@ -70,8 +70,7 @@ MOTORS: Final = (
 
 
 def _servo(name: str) -> TypicalMotor:
-    """A servo by its data sheet, which tells neither inductance nor rotor inertia."""
-    servo = board_kinds.SERVOS[name]
+    servo = DATA_SHEETS[name]
     return TypicalMotor(
         servo.torque_constant_Nm_A, servo.resistance_ohm, 0.0, 0.0, servo.supply_V, servo.stall_A, servo.free_rad_s, name
     )

@@ -11,7 +11,7 @@ from console.main import main
 from console.screen.drawing import Row
 from console.screen.texts import end_rows
 from control.model.arm import Tool
-from control.model.board_kinds import bus_load
+from control.model.can_bus import bus_load
 from control.model.end_effector import Digital
 from tests.cell import GRIPPER, RIGHT, Cell, holding_cell, scenario
 

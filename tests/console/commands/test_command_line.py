@@ -57,6 +57,8 @@ for arguments in [["--help"], *([command.name, "--help"] for command in COMMANDS
     assert "usage: armwright" in out.getvalue() and len(out.getvalue()) > 100, arguments
 heavy = [name for name in {HEAVY} if name in sys.modules]
 assert not heavy, heavy
+of_model = {{name for name in sys.modules if name.startswith("control.model.")}}
+assert of_model == {{"control.model.board_kinds"}}, of_model
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
     assert ended.returncode == 0, ended.stderr

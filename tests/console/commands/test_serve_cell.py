@@ -10,7 +10,7 @@ import pytest
 
 from console.commands import serve
 from console.main import main
-from control.model.board_kinds import bus_load
+from control.model.can_bus import bus_load
 from control.model.cell import Cell
 from control.server.process import ServeOptions
 from procedures.arm_sheet import sheet, warnings

@@ -10,7 +10,7 @@ import pytest
 
 from control.errors import ArmError
 from control.model.arm import Arm, Home
-from control.model.board_kinds import bus_load, usual_rate_Hz
+from control.model.can_bus import bus_load, usual_rate_Hz
 from control.model.description import load_arm, save_arm
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, with_drive

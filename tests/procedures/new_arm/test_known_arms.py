@@ -14,8 +14,8 @@ from console.main import main
 from control.errors import ArmFileError
 from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm
-from control.model.board_kinds import SERVOS
 from control.model.description import arm_names, arm_text, load_arm, parse_arm, save_arm
+from control.model.drive import SERVOS
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import load_scenario
 from procedures.arm_sheet import sheet, warnings
