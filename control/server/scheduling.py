@@ -94,22 +94,22 @@ def _lock_memory() -> bool:
     is_unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     if is_unlimited and libc.mlockall(MCL_FUTURE) != 0:
         return False
-    needed = [(start, end - start) for start, end, name in mapped(MAPS.read_text()) if not _is_algebra(end - start, name)]
+    needed = needed_in_memory(MAPS.read_text())
     return all(libc.mlock(ctypes.c_void_p(at), ctypes.c_size_t(size)) == 0 for at, size in needed)
 
 
-def _is_algebra(size: int, name: str) -> bool:
-    return ALGEBRA.search(name) is not None or (not name and size >= LARGE_bytes)
+def needed_in_memory(maps: str) -> Iterator[tuple[int, int]]:
+    """Start and size of what a cycle may touch, from the text of /proc/PID/maps.
 
-
-def mapped(maps: str) -> Iterator[tuple[int, int, str]]:
-    """Start, end and file of what is mapped and may be read, from the text of /proc/PID/maps; the kernel's own left out."""
+    Left out are the kernel's own, what may not be read, and linear algebra with its buffers.
+    """
     for line in maps.splitlines():
         span, rights, *others = line.split(maxsplit=5)
         name = others[3] if len(others) > 3 else ""
         if rights[0] == "r" and not name.startswith("[v"):
-            start, end = span.split("-")
-            yield int(start, 16), int(end, 16), name
+            start, end = (int(part, 16) for part in span.split("-"))
+            if not ALGEBRA.search(name) and (name or end - start < LARGE_bytes):
+                yield start, end - start
 
 
 def _go_to(cpus: set[int]) -> None:

@@ -44,10 +44,11 @@ def test_misread_columns_are_refused_with_what_was_meant(columns, says) -> None:
         ({"t_s": np.where(np.arange(len(POINTS)) > 100, POINTS.t_s - 500.0, POINTS.t_s)}, "line 103"),
         ({"t_s": np.full(len(POINTS), np.nan)}, "no t_s"),
         ({"current_A": np.full_like(POINTS.current_A, 0.5)}, "never changes"),
-        ({"current_A": np.clip(POINTS.current_A, -8.0, 8.0) * 8.0}, "limit of 8 A"),
+        ({"current_A": np.clip(POINTS.current_A, -8.0, 8.0) * 8.0}, "at the drive's limit of 8 A in "),
+        ({"current_A": 1e3 * POINTS.current_A}, "milliamperes? Not used"),
         ({"setup": ("free",) * len(POINTS)}, "one setup"),
     ],
-    ids=["no directions", "time backwards", "no time", "constant current", "saturated", "one setup"],
+    ids=["no directions", "time backwards", "no time", "constant current", "saturated", "milliamperes", "one setup"],
 )
 def test_what_a_column_lacks_is_said(columns, says) -> None:
     assert says in said(changed(**columns))
