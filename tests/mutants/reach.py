@@ -1,4 +1,4 @@
-"""Which tests run a place of the code, and how long each takes: measured once, so that a mutant runs no others.
+"""Which tests run a place of the code, and how long each keeps the processor: measured once, so that a mutant runs no others.
 
 The drawn modules are imported with calls before each drawn place and at the head of every function. Only the tests nearest to a
 module are asked: its own file, and those that import it from the folder that mirrors its room. A process that a test starts
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import time
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,8 +22,8 @@ from tests.mutants.mutator import located
 
 ROOT = Path(__file__).parents[2]
 NEAREST = 1, 3  # files of tests for one module: at first, and where these do not run a place
-FILE_s = 6.0  # of one file, before the rest of it is left out
-MUTANT_s = 10.0  # of tests for one mutant
+FILE_s = 6.0  # of processor, of one file, before the rest of it is left out
+MUTANT_s = 10.0  # of processor, for the tests of one mutant
 FILES = 6  # that one mutant imports
 WITHOUT = "not hardware and not nightly and not realtime"
 
@@ -48,6 +49,8 @@ class Reach:
     marks: dict[str, set[str]] = field(default_factory=dict)
     _spent_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     _now: set[str] = field(default_factory=set)
+    _begun_s: float = 0.0
+    _has_passed: bool = True
 
     def note(self, mark: str) -> None:
         """Called by the code under test."""
@@ -58,23 +61,22 @@ class Reach:
         if self._spent_s[_file_of(item.nodeid)] > FILE_s:
             pytest.skip("its file takes long")
 
-    def pytest_runtest_logstart(self, nodeid: str) -> None:
+    def pytest_runtest_logstart(self) -> None:
         """A test begins."""
         self._now.clear()
-        self.seconds[nodeid] = 0.0
+        self._begun_s = time.process_time()
+        self._has_passed = True
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """It takes its time, and only counts if it passes."""
-        self._spent_s[_file_of(report.nodeid)] += report.duration
-        if report.outcome != "passed":
-            self.seconds.pop(report.nodeid, None)
-        elif report.nodeid in self.seconds:
-            self.seconds[report.nodeid] += report.duration
+        """It only counts if it passes."""
+        self._has_passed &= report.passed
 
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
-        """What it ran."""
-        if nodeid in self.seconds:
-            self.marks[nodeid] = set(self._now)
+        """What it took, and what it ran."""
+        taken_s = time.process_time() - self._begun_s
+        self._spent_s[_file_of(nodeid)] += taken_s
+        if self._has_passed:
+            self.seconds[nodeid], self.marks[nodeid] = taken_s, set(self._now)
 
     def runs(self, mark: str) -> bool:
         """Whether a test does."""

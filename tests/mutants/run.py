@@ -227,7 +227,7 @@ def _run_samples(count: int, seeds: Sequence[int]) -> int:
                 unreached += not chosen.seconds
                 told = f"{name}, {len(chosen.seconds)} tests, {chosen.beyond} left out:"
                 mutants.append((told, mutant, partial(_sampled, name, mutant.source, chosen)))
-        killed = len(mutants) - len(survivors_of(mutants, int(4 * MUTANT_s) + 30))
+        killed = len(mutants) - len(survivors_of(mutants, int(10 * MUTANT_s) + 30))
         least = min(least, killed / len(mutants))
         print(
             f"seed {seed}: {killed} of {len(mutants)} mutants killed, {killed / len(mutants):.0%};"

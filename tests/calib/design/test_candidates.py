@@ -14,6 +14,7 @@ from calib.design.candidates import (
     FREE_HEIGHT_M,
     OTHER_TILTS,
     CameraBox,
+    body_points,
     free_candidates,
     joint_box,
     named,
@@ -28,12 +29,26 @@ from calib.design.candidates import (
 from calib.design.planning import WAY_HEIGHT_M, clear_ways, visiting_order
 from calib.errors import CalibrationError
 from calib.points.points import make_points
+from control.kinematics.chain import link_transforms
 from control.model.arm import Arm, Link
 
 SETUPS = ("normal", "roll", "pitch")
 BOARDS = placed_boards(ARM, SETUPS, None, {})
 ANGLES = {"normal": (0.0, 0.0), "roll": (np.radians(11.7), 0.0), "pitch": (0.0, np.radians(11.8))}
 LOWER, UPPER = np.array(ARM.limits_rad).T
+
+
+def test_no_part_of_the_arm_is_further_from_a_body_point_than_an_eighth_of_its_link():
+    q = np.array([[0.3, -0.9, 1.1]])
+    frames = link_transforms(ARM.dh, q, ARM.joints, ARM.dh_convention)[0]
+    tip = frames[-1, :3, 3] + frames[-1, :3, :3] @ np.array(ARM.tool.position_m)
+    corners = [*frames[1:, :3, 3], tip]
+    points = body_points(ARM, q)[0]
+    assert points[-1] == pytest.approx(tip)
+    for begin, end in itertools.pairwise(corners):
+        way = begin + np.linspace(0.0, 1.0, 41)[:, None] * (end - begin)
+        nearest = np.linalg.norm(way[:, None] - points, axis=2).min(axis=1)
+        assert nearest.max() <= 0.125 * np.linalg.norm(end - begin) + 1e-12
 
 
 @pytest.mark.parametrize("setup", SETUPS)

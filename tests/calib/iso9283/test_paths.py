@@ -73,6 +73,16 @@ def test_points_that_a_path_does_not_pass_are_counted_and_too_many_are_refused()
         path_criteria.path_accuracy(*crossed(LINE, [sampled((10, 0, 0), (11, 0, 0))]))
 
 
+def test_half_of_the_points_are_enough_and_fewer_are_not() -> None:
+    points = sampled((0.0, 0, 0), (0.9, 0, 0), 10)
+    attained = np.stack([points, points])
+    attained[0, :5] = np.nan
+    assert path_criteria.path_accuracy(points, attained).skipped == 5
+    attained[1, 5] = np.nan
+    with pytest.raises(Iso9283Error, match="only 4 of 10 calculation points"):
+        path_criteria.path_accuracy(points, attained)
+
+
 def test_one_path_has_an_accuracy_but_no_repeatability() -> None:
     points, attained = crossed(LINE, [sampled((-0.1, 0, 0), (0.5, 0, 0))])
     assert path_criteria.path_accuracy(points, attained).total_m < 1e-12
