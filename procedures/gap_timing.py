@@ -224,7 +224,7 @@ def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: BoardClock) -> tuple[Ar
         current, voltage = _currents(arm, raw)[:, j], raw.voltage_V[:-2, j]
         if len(current) < LEAST_ROWS or not (np.isfinite(current).all() and np.isfinite(voltage).all()):
             continue
-        behind_s = drive.inductance_H / drive.resistance_ohm + 0.5 * mean_s  # delay of the current with respect to the speed
+        behind_s = drive.lag_s + 0.5 * mean_s  # delay of the current with respect to the speed
         q = _angle(raw, j, clock, raw.t_s[1:-1] - behind_s)
         speed, bend = (_filtered(q, order, raw.period_s) for order in (1, 2))
         i, u, rise = (_filtered(current, 0, 1.0), _filtered(voltage, 0, 1.0), _filtered(voltage, 1, raw.period_s))

@@ -162,6 +162,11 @@ class Drive:
         return min(self.current_limit_A, self.supply_V / self.resistance_ohm) * self.torque_constant_Nm_A * self.gear_ratio
 
     @property
+    def lag_s(self) -> float:
+        """L/R of the winding: the time in which its current comes to 63 % of what a new voltage drives."""
+        return self.inductance_H / self.resistance_ohm
+
+    @property
     def at_motor(self) -> "Drive":
         """The drive by the encoder that its motor board reads, which counts up with the motor's angle at the joint's sign."""
         if self.motor_counts_per_rev is None:

@@ -12,7 +12,7 @@ import pytest
 from firmware_iface.errors import LinkLost
 from firmware_iface.link import CanFormat, FrameLink
 from hil_mocks.devices.motor_inputs import Frame
-from hil_mocks.wires import Picture, Wires, newest_of_each
+from hil_mocks.wires import Picture, Pty, Wires, newest_of_each
 
 
 class Robot:
@@ -87,3 +87,20 @@ def test_what_a_full_bus_does_not_take_is_sent_later_the_newest_of_each_id(
 
 def test_the_newest_frame_takes_an_older_ones_place() -> None:
     assert newest_of_each([(1, b"a"), (2, b"a"), (1, b"b")]) == [(1, b"b"), (2, b"a")]
+
+
+def test_a_serial_port_carries_every_byte_unchanged_whatever_its_host_has_set() -> None:
+    """Ctrl-C, Ctrl-S, carriage returns and line feeds are bytes of frames; nothing is sent back to its sender."""
+    every = bytes(range(256))
+    port = Pty()
+    host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        os.write(host, every)
+        assert port.read() == every
+        port.write(every)
+        port.settle()
+        assert os.read(host, 1024) == every
+        assert port.read() == b""
+    finally:
+        os.close(host)
+        port.close()

@@ -70,7 +70,7 @@ class BodyTorques:
         drives, runs = self._arm.drives, self._recording.runs
         K = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in drives])
         R = np.array([d.resistance_ohm for d in drives])
-        lag = np.array([d.inductance_H / d.resistance_ohm for d in drives])
+        lag = np.array([d.lag_s for d in drives])
         carried = [round(float(np.median(run.payload_kg)) / SAME_kg) for run in runs]
         found = {}
         for load in dict.fromkeys(carried):

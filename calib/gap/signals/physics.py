@@ -61,7 +61,7 @@ class Physics:
         # K, joint torque per ampere; R and L/R of the windings; motor turns a joint turn: (n,)
         self.torque_per_A = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in arm.drives])
         self.resistance_ohm = np.array([d.resistance_ohm for d in arm.drives])
-        self.lag_s = np.array([d.inductance_H / d.resistance_ohm for d in arm.drives])
+        self.lag_s = np.array([d.lag_s for d in arm.drives])
         self.gear_ratios = tuple(float(d.gear_ratio) for d in arm.drives)
         self._supply = np.array([d.supply_V for d in arm.drives])
         self._period = 1.0 / recording.filters.rate_Hz

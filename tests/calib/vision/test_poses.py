@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import VisionError
 from calib.points.points import make_points
+from calib.vision.advice import poses_text
 from calib.vision.intrinsics import fit_lens
 from calib.vision.lens import CameraView, Pose, misfit
-from calib.vision.poses import CameraPictures, MeasuredPose, measure_poses, motion_covariance, with_pictures
+from calib.vision.poses import CameraPictures, MeasuredPose, PoseSet, measure_poses, motion_covariance, with_pictures
 from calib.vision.targets import PrintedTarget, Tags
 from tests.calib.vision.scenes import BOARD, TAG, drawn_pose, lens_of, sighting, sightings
 
@@ -143,3 +144,15 @@ def test_pictures_belong_to_the_poses_that_their_names_say() -> None:
     assert "1 poses of the points have no measured picture" in said[1]
     with pytest.raises(VisionError, match=r"expected names such as free_p00_1\.png"):
         with_pictures(points, measured)
+
+
+def test_how_certain_poses_are_is_said_along_the_view_and_across_it() -> None:
+    ray = np.array([0.6, 0.0, 0.8])
+    along_m, across_m, turns_rad = 3e-3, 0.25e-3, np.array([1e-3, 2e-3, 5e-3])
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = across_m**2 * np.eye(3) + (along_m**2 - across_m**2) * np.outer(ray, ray)
+    covariance[3:, 3:] = np.diag(turns_rad**2)
+    one = MeasuredPose("p1", Pose(np.eye(3), 0.5 * ray), covariance, 0.25 * covariance, 0.1, 20, ("left",))
+    text = poses_text(PoseSet((one,), (), {}, {"left": 0.05}))
+    assert "median: 0.250 mm across the view, 3.000 mm along it, 5.00 mrad" in text
+    assert "common to all pictures (lens, stands): 0.125 mm across, 1.500 mm along, 2.50 mrad" in text
