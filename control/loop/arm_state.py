@@ -2,7 +2,7 @@
 of a cycle.
 
 The steps are functions of the state, one module per subject: control.loop.set_points (set-points), motion_modes (motions,
-jogs, stops), fault_reactions, homing, shutdown. Each module lists the attributes that it writes; all others only read them.
+jogs, stops), fault_reactions, on_and_off. Each module lists the attributes that it writes; all others only read them.
 """
 
 import math
@@ -184,7 +184,7 @@ class ArmState:
         self.no_motion = (0.0,) * n  # speeds or accelerations
         self.set_point = self.aim = at_rest(self.no_motion)  # of the joints; of their encoders
         self.is_of_encoders = False  # whether set_point is; only during a motion given in encoder angles
-        # motions (motion_modes, homing)
+        # motions (motion_modes, on_and_off)
         self.run_number = 0
         self.paced: Paced | None = None  # the active motion or stop
         self.lookout: Lookout | None = None  # of that motion, unless it is a stop
@@ -197,7 +197,7 @@ class ArmState:
         self.is_weightless = False  # gravity compensation during hand guiding
         self.unrecorded = ""  # why cycles are not recorded now; empty while they are
         self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
-        self.bound = Bound.NOWHERE  # where the arm is on its way to by itself (shutdown)
+        self.bound = Bound.NOWHERE  # where the arm is on its way to by itself (on_and_off)
         self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (fault_reactions)
         if parts.hardware.has_torque():
             self.on(Event.FOUND_HELD)

@@ -11,7 +11,7 @@
 
 The cycle never waits and opens nothing: hardware, recorder and the rest are passed in (control.server.assemble). The
 same object runs in its own process in real time and in a test on a stepped clock. Its state is ArmState; the
-modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_reactions.
+modes are in control.loop.set_points, motion_modes, on_and_off and fault_reactions.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from types import MappingProxyType
 
 from control.end_effector import GripState
 from control.hardware.interface import Hardware, OutputMode, Wanted
-from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
+from control.loop import fault_reactions, motion_modes, on_and_off, set_points
 from control.loop.arm_state import NOWHERE, ArmState
 from control.loop.drives import Bound, drives_wanted
 from control.loop.watch import Expectation
@@ -80,7 +80,7 @@ class Cycle(ArmState):
         except Exception as error:  # whatever fails here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
-        return not (self.bound.is_off and self.bound is Bound.QUIT and shutdown.has_left(self))
+        return not (self.bound.is_off and self.bound is Bound.QUIT and on_and_off.has_left(self))
 
     def _control(self, missed_in_row: int) -> None:
         if self.bridge is not None:
@@ -124,7 +124,7 @@ class Cycle(ArmState):
                 self.fail(fault)
             return
         if self.monitor.mode in UNWATCHED:
-            if shutdown.is_left_held(self) and not self.parts.hardware.has_torque():
+            if on_and_off.is_left_held(self) and not self.parts.hardware.has_torque():
                 self.on(Event.RELEASED)
             return
         aim, paused_s = self.aim, self.elapsed_s - self.parts.period_s
@@ -197,11 +197,11 @@ class Cycle(ArmState):
         elif mode is Mode.JOGGING:
             motion_modes.follow_jog(self)
         elif mode is Mode.HOMING:
-            homing.follow(self)
+            on_and_off.follow_homing(self)
         elif mode is not Mode.HOLDING:
             set_points.stay(self)
-            shutdown.follow_hold(self)
-        shutdown.follow(self)
+            on_and_off.follow_hold(self)
+        on_and_off.follow_off(self)
 
     def _follow_loads(self) -> None:
         """Let the model's masses follow tool and payload as stated: at once while nothing depends on them, else slowly."""
@@ -294,7 +294,7 @@ class Cycle(ArmState):
         """Nothing is to be controlled in this cycle: the boards hold; where a link is gone, they do so by themselves."""
         if not (self.bound is Bound.QUIT and self.monitor.mode is Mode.OFF):
             self.fail(fault)
-        shutdown.follow(self)
+        on_and_off.follow_off(self)
         servo = self.parts.servo
         servo.silence()
         with contextlib.suppress(LinkError):

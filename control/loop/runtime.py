@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from control.end_effector import GripState as GripperState
 from control.errors import ArmError
 from control.hardware.interface import OutputMode, Wanted
-from control.loop import homing, motion_modes, set_points, shutdown
+from control.loop import motion_modes, on_and_off, set_points
 from control.loop.cycle import Cycle
 from control.loop.jogging import JogRequest
 from control.motion.pace import Limited
@@ -32,10 +32,11 @@ class Runtime(Cycle):
             self.has_waited = True
             self.parts.hardware.reset_gripper()
         are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)
-        is_left_held = shutdown.is_left_held(self) and self.parts.hardware.has_torque()
+        is_left_held = on_and_off.is_left_held(self) and self.parts.hardware.has_torque()
         if is_left_held and not self.monitor.faults:
             raise ArmError(
-                f"{shutdown.HELD}, and is let go when their drives are reset: {shutdown.TAKES_OVER}, `armwright off` lets it go"
+                f"{on_and_off.HELD}, and is let go when their drives are reset: {on_and_off.TAKES_OVER}, `armwright off` lets"
+                " it go"
             )
         if not is_left_held and (are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault)):
             self.has_waited = True
@@ -53,11 +54,11 @@ class Runtime(Cycle):
 
     def want_hold(self) -> None:
         """Get to HOLDING from OFF, HELD, BRAKED or GUIDING, through the modes in between. ArmError says why not."""
-        shutdown.want_hold(self)
+        on_and_off.want_hold(self)
 
     def go_off(self, quits: bool, lets_go: bool = False) -> None:
         """Start the shutdown: stop, hold, brake, off. `lets_go`: an arm that is held by its boards, too."""
-        shutdown.begin(self, quits, lets_go)
+        on_and_off.begin_off(self, quits, lets_go)
 
     def require_recording(self) -> None:
         """ArmError if nothing is recorded now, and arm.toml says that no motion begins then."""
@@ -69,7 +70,7 @@ class Runtime(Cycle):
 
     def require_staying(self) -> None:
         """ArmError while the arm goes on or off by itself: nothing else begins then."""
-        shutdown.require_staying(self)
+        on_and_off.require_staying(self)
 
     def state_payload(self, mass_kg: float) -> None:
         """State the mass in the gripper. ArmError if it is more than the arm may carry."""
@@ -95,13 +96,13 @@ class Runtime(Cycle):
 
     def take_known_zeros(self) -> bool:
         """Use the boards' zeros if all of them were set since power-up; return whether they were."""
-        return homing.take_known_zeros(self)
+        return on_and_off.take_known_zeros(self)
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
         self.require_staying()
         self.require_recording()
-        homing.start(self)
+        on_and_off.start_homing(self)
 
     def start(self, motion: Motion, as_encoders: bool = False, beside: Sequence[Limited] = ()) -> None:
         """Start a checked motion that begins, at rest, at the arm's position `seen`; `beside`: others that keep its pace."""

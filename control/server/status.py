@@ -8,9 +8,8 @@ from typing import Any
 from control.end_effector import GripState as GripperState
 from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.rotation import quaternion_of
-from control.loop.homing import doubt
+from control.loop.on_and_off import TAKES_OVER, doubt
 from control.loop.runtime import Runtime
-from control.loop.shutdown import TAKES_OVER
 from control.recording.recorder_state import RecorderState
 from control.safety.modes import CONTROLLED_MODES, Mode
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
