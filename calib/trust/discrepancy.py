@@ -170,7 +170,7 @@ class Discrepancy:
         """
         q_rad, q, x = at.q_rad, at.q_rad[:, j], at.q_rad[:, j] - self._centre[j]
         travel = self._travel[j]
-        rest = DEPARTURE * _smooth_functions(x, BEYOND * travel)
+        rest = DEPARTURE * smooth_functions(x, BEYOND * travel)
         yield "angle", ANGLE_rad, np.column_stack((x, np.sin(q), np.cos(q), rest))
         for k in range(self._arm.joint_count):
             if k != j:
@@ -290,7 +290,7 @@ def _waves(q_rad: Array) -> Array:
     return np.column_stack([wave(order * q_rad) for order in (1, 2) for wave in (np.sin, np.cos)])
 
 
-def _smooth_functions(x: Array, half_rad: float) -> Array:
+def smooth_functions(x: Array, half_rad: float) -> Array:
     """Sines on -half .. half with the weights of a squared exponential of unit variance, (m, order).
 
     Enough of them for the length scale (Riutort-Mayol et al., Stat. Comput. 33, 2023: 1.75 half / length).

@@ -131,6 +131,16 @@ def test_spread_poses_fill_every_eighth_of_the_box():
     assert len({tuple(row) for row in (q > 0.5).tolist()}) == 8
 
 
+def test_of_the_later_half_of_spread_poses_a_share_of_the_angles_is_at_the_nearer_end():
+    box = (np.array([-1.0, 0.0]), np.array([1.0, 3.0]))
+    inside, drawn = spread_poses(box, 400), spread_poses(box, 400, edge_share=0.4)
+    np.testing.assert_array_equal(drawn[:200], inside[:200])
+    is_moved = drawn[200:] != inside[200:]
+    assert 0.3 < is_moved.mean() < 0.5
+    ends = np.where(inside[200:] > np.mean(box, axis=0), box[1], box[0])
+    np.testing.assert_array_equal(drawn[200:][is_moved], ends[is_moved])
+
+
 def test_new_names_do_not_collide_with_those_of_points_taken():
     taken = make_points(["free", "roll"], ["p1", "5"], [1, 2], np.zeros((2, 3)), np.zeros((2, 3)))
     planned = make_points(["free", "free", "roll"], ["", "", "5"], [1, 1, 1], np.zeros((3, 3)), np.zeros((3, 3)))

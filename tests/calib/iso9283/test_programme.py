@@ -142,8 +142,10 @@ def test_the_largest_cube_is_within_reach_on_one_branch_and_no_larger_one_is(arm
 def test_a_cube_that_the_arm_does_not_reach_or_that_goes_through_the_floor_is_said(arm: Arm) -> None:
     with pytest.raises(Iso9283Error, match=r"out of reach.*--cube-centre"):
         solver_of(arm, TestCube((2.0, 0.0, 0.5), 0.1))
+    edge_m = 0.08
     with pytest.raises(Iso9283Error, match="below 0 m"):
-        solver_of(arm, TestCube((0.4, 0.0, 0.05), 0.2))
+        solver_of(arm, TestCube((0.3, 0.0, 0.49 * edge_m), edge_m))
+    solver_of(arm, TestCube((0.3, 0.0, 0.51 * edge_m), edge_m))  # just above it
 
 
 def test_an_arm_with_one_joint_has_no_cube() -> None:

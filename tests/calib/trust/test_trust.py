@@ -15,7 +15,7 @@ from calib.arm_problem.link_bending import Bending, known_bending
 from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
-from calib.trust.discrepancy import SHARES, Conditions, Discrepancy, Gears, even_odds
+from calib.trust.discrepancy import SHARES, ANGLE_LENGTH_rad, Conditions, Discrepancy, Gears, even_odds, smooth_functions
 from calib.trust.prediction import SIZE_SPREAD, SIZES, SizeEvidence, TipError, linearised, planned, posterior_of, reliability_of
 from calib.trust.report import pose_figures
 from calib.trust.trust import ELLIPSOID_95, MapRequest, Trust, trust_in, within_95_m
@@ -276,3 +276,12 @@ def test_averaging_over_sizes_makes_no_direction_more_certain() -> None:
     more = evidence.over_sizes(single).covariance - single.covariance
     assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()
     assert np.trace(more) > 0.0
+
+
+@pytest.mark.parametrize("half_rad", [2.0, 4.0])
+def test_the_rest_of_an_angles_error_is_as_alike_as_a_squared_exponential_says(half_rad: float) -> None:
+    """To a hundredth of its variance, at 2 lengths and more from the ends of -half .. half, where all of them are 0."""
+    x = np.linspace(-0.3 * half_rad, 0.3 * half_rad, 41)
+    functions = smooth_functions(x, half_rad)
+    alike = np.exp(-0.5 * ((x[:, None] - x) / ANGLE_LENGTH_rad) ** 2)
+    assert np.abs(functions @ functions.T - alike).max() < 0.01
