@@ -53,6 +53,8 @@ PLAYS = {
     "so100": {1.0: "as an SO-101"},
     "koch": {0.25: "data sheet of the larger XM430", 1.0: "as an SO-101"},
     "widowx250": {0.25: "data sheet of the XM430"},
+    "openmanipulatorx": {0.25: "data sheet of the XM430"},
+    "viperx300s": {0.25: "data sheet of the XM540"},
 }
 FRICTION = 0.03  # of the stall torque, where none is published
 NOISE_m = 5e-4

@@ -40,8 +40,10 @@ def test_the_package_control_is_ours() -> None:
 
 def test_both_arms_ship_and_differ_only_in_the_mirrored_offset() -> None:
     right, left = load_arm("right"), load_arm("left")
-    known = ("koch", "openmanipulatorx", "pincherx100", "reactorx150", "so100", "so101")
-    assert arm_names() == tuple(sorted((*known, "left", "right", "viperx300", "viperx300s", "widowx250", "widowx250s")))
+    known = ("koch", "openmanipulatorx", "pincherx100", "reactorx150", "reactorx200", "so100", "so101")
+    assert arm_names() == tuple(
+        sorted((*known, "left", "right", "viperx300", "viperx300s", "widowx200", "widowx250", "widowx250s"))
+    )
     difference = left.dh - right.dh
     assert difference[2, 0] == pytest.approx(0.024)
     assert np.count_nonzero(difference) == 1

@@ -32,7 +32,7 @@ SEEN_rad = 0.01  # six counts of a servo
 # Of arms whose upper arm stands upright at zero; the others' is at the middle of its range there.
 STRETCHED_rad = {
     **dict.fromkeys(("openmanipulatorx", "pincherx100"), (0.0, 0.6, -0.6, 0.3)),
-    **dict.fromkeys(("reactorx150", "viperx300", "widowx250"), (0.0, 0.8, -0.8, 0.3, 0.0)),
+    **dict.fromkeys(("reactorx150", "reactorx200", "viperx300", "widowx200", "widowx250"), (0.0, 0.8, -0.8, 0.3, 0.0)),
     **dict.fromkeys(("viperx300s", "widowx250s"), (0.0, 0.8, -0.8, 0.0, 0.3, 0.0)),
 }
 

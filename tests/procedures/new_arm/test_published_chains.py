@@ -52,14 +52,18 @@ CHAINS = {
     "openmanipulatorx": Chain(
         "zyyy", ((0.012, 0.0, 0.0), (0.0, 0.0, 0.0595), (0.024, 0.0, 0.128), (0.124, 0.0, 0.0), (0.126, 0.0, 0.0))
     ),
-    # px100, rx150, vx300, vx300s, wx250, wx250s.urdf.xacro of Interbotix/interbotix_ros_manipulators at 0bb2b0e6; what is fixed
-    # behind the last joint in one
+    # px100, rx150, rx200, vx300, vx300s, wx200, wx250 and wx250s.urdf.xacro of Interbotix/interbotix_ros_manipulators at
+    # 0bb2b0e6; the fixed frames behind the last joint are added up
     "pincherx100": Chain(
         "zyyy", ((0.0, 0.0, 0.05085), (0.0, 0.0, 0.04225), (0.035, 0.0, 0.1), (0.1, 0.0, 0.0), (0.113575, 0.0, 0.0))
     ),
     "reactorx150": Chain(
         "zyyyx",
         ((0.0, 0.0, 0.06566), (0.0, 0.0, 0.03891), (0.05, 0.0, 0.15), (0.15, 0.0, 0.0), (0.065, 0.0, 0.0), (0.093575, 0.0, 0.0)),
+    ),
+    "reactorx200": Chain(
+        "zyyyx",
+        ((0.0, 0.0, 0.06566), (0.0, 0.0, 0.03891), (0.05, 0.0, 0.2), (0.2, 0.0, 0.0), (0.065, 0.0, 0.0), (0.093575, 0.0, 0.0)),
     ),
     "viperx300": Chain(
         "zyyyx",
@@ -71,6 +75,10 @@ CHAINS = {
             *((0.0, 0.0, 0.079), (0.0, 0.0, 0.04805), (0.05955, 0.0, 0.3)),
             *((0.2, 0.0, 0.0), (0.1, 0.0, 0.0), (0.069744, 0.0, 0.0), (0.1072, 0.0, 0.0)),
         ),
+    ),
+    "widowx200": Chain(
+        "zyyyx",
+        ((0.0, 0.0, 0.072), (0.0, 0.0, 0.03865), (0.05, 0.0, 0.2), (0.2, 0.0, 0.0), (0.065, 0.0, 0.0), (0.093575, 0.0, 0.0)),
     ),
     "widowx250": Chain(
         "zyyyx",
