@@ -43,6 +43,12 @@ def command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", str(Path(__file__).resolve()), module, *arguments]
 
 
+def run_command() -> int:
+    """As `interrupts.run_command`: here the scripts of editable installations look for it until they are installed again."""
+    status: int = importlib.import_module("firmware_iface.interrupts").run_command()
+    return status
+
+
 class _Beside:
     """Finds our top-level packages beside this one, before any other finder."""
 

@@ -80,9 +80,9 @@ def test_repeats_stay_together_and_reporting_runs_decide_nothing(null: DynamicOu
         assert not np.any(group & null.split.reporting)
 
 
-def test_progress_is_told_from_start_to_end(null: DynamicOutcome, told: list[float]) -> None:
+def test_progress_is_told_from_the_start_to_the_last_step(null: DynamicOutcome, told: list[float]) -> None:
     assert told[0] == 0.0
-    assert told[-1] == 1.0
+    assert 0.9 < told[-1] < 1.0
     assert told == sorted(told)
 
 
