@@ -142,7 +142,7 @@ iso9283-study: dev  ## do predicted ISO 9283 figures hold the measured ones on m
 planning-study: dev  ## what planned paths and stops gain on mock arms, measured by their camera before any correction; half an hour; CASES=6 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.planning $(if $(CASES),--cases $(CASES))
 
-owned-arms-study: dev  ## tip error of the arms of docs/arms.md on the mock, before and after an afternoon; a quarter of an hour, CASES=3 arms of each sort, ARMS="so101 koch", SMALL=1 with small errors, WEBCAM=1 with rendered pictures
+owned-arms-study: dev  ## tip error of the arms of docs/arms.md on the mock, before and after an afternoon; some 20 minutes, CASES=3 arms of each sort, ARMS="so101 koch", SMALL=1 with small errors, WEBCAM=1 with rendered pictures
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.owned_arms $(if $(CASES),--cases $(CASES)) $(if $(ARMS),--arms $(ARMS)) $(if $(SMALL),--small) $(if $(WEBCAM),--webcam)
 
 distances-study: dev  ## how well draw wires, gauges and pairs of poses calibrate the reference arm (docs/distances.md), a minute
