@@ -81,6 +81,8 @@ def test_rotations_come_back_from_vectors_and_quaternions_up_to_half_a_turn() ->
     turned = rotation.exponentials(vectors)
     np.testing.assert_allclose(rotation.logarithms(turned), vectors, atol=1e-9)
     np.testing.assert_allclose(rotation.matrices(rotation.quaternions(turned)), turned, atol=1e-14)
+    by_element = [rotation.quaternion_of(rows) for rows in turned.tolist()]
+    np.testing.assert_allclose(by_element, rotation.quaternions(turned), atol=1e-9)
     h, rates = 1e-6, rng.normal(size=(500, 3))
     after, before = rotation.exponentials(vectors + h * rates), rotation.exponentials(vectors - h * rates)
     omega = rotation.logarithms(after @ np.swapaxes(before, 1, 2)) / (2 * h)
