@@ -11,9 +11,21 @@ from benchmarks.calibration.checkup import before, checked, visits_of
 from benchmarks.calibration.trust_coverage import session
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array
-from calib.checkup import BENT_m, ExpectedTips, SLIP_rad, decide, decision_json, judged, sentences
+from calib.checkup import (
+    BENT_m,
+    ExpectedTips,
+    SIZE_rad,
+    SLIP_rad,
+    causes_of,
+    decide,
+    decision_json,
+    expectation_of,
+    judged,
+    sentences,
+)
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
+from calib.points.points import make_points
 from calib.points.writer import write_points
 from console.commands.calibration.check_up import mocked_arm
 from console.main import main
@@ -125,6 +137,29 @@ def test_worn_play_is_found_by_the_poses_that_were_designed_for_the_arm() -> Non
     assert len(q) == 16
     assert np.array_equal(direction[::2], -direction[1::2])
     assert np.array_equal(q[::2], q[1::2])
+
+
+def test_the_designed_poses_tell_zeros_and_play_apart_better_than_any_others_drawn() -> None:
+    rng, pool = np.random.default_rng(5), workspace_poses(ARM, (), 64)
+    q, direction = visits_of(SEED)
+    count = len(q)
+    others = 12
+    drawn = np.concatenate([pool[rng.choice(len(pool), count // 2, replace=False)] for _ in range(others)])
+    sides = rng.choice((-1.0, 1.0), drawn.shape)
+    q = np.concatenate((q, np.repeat(drawn, 2, axis=0)))
+    direction = np.concatenate((direction, np.stack((sides, -sides), axis=1).reshape(-1, 3)))
+    names = [f"c{k}" for k in range(len(q))]
+    made = make_points(["free"] * len(q), names, [1] * len(q), q, ArmModel(ARM).tips(ARM.dh, q), direction)
+    everything = expectation_of(ARM, before(SEED), made)
+
+    def told(first: int) -> float:
+        at = everything.chosen(list(range(first, first + count)))
+        moves = [cause.columns.reshape(3 * count, -1) for cause in causes_of(at) if cause.kind in ("zero", "play")]
+        columns = SIZE_rad * np.concatenate(moves, axis=1)
+        information = columns.T @ np.linalg.solve(at.covariance, columns)
+        return float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
+
+    assert told(0) > max(told(count * k) for k in range(1, others + 1))
 
 
 def test_recorded_poses_are_decided_without_moving(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
