@@ -20,6 +20,7 @@ from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Placed
+from control.motion.guard import Guard
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.setpoint import SetPoint
@@ -213,6 +214,7 @@ def replayed(guided: Guided, arm: Arm, speed: float = 1.0) -> Replay:
     rows = zip(q_rad[knots].tolist(), v.tolist(), a.tolist(), strict=True)
     path = JointPath((t - times[0] for t in times), [SetPoint(*map(tuple, row)) for row in rows])
     path.require_within(limits)
+    Guard(arm, limits).require_joint_path(path)  # before the arm moves to the beginning
     return Replay(path, slowdown, limit)
 
 

@@ -204,7 +204,9 @@ class Guard:
         k = int(np.argmin(deeper))
         if deeper[k] < math.inf:
             what = clearances[int(np.argmin(distances_m[:, k]))][1]
-            raise MotionError(f"{what}, {-least_m[k]:.3f} m deeper than allowed, after {float(times_s[k]):.2f} s; {_REMEDY}")
+            raise MotionError(
+                f"{what}, {-1e3 * least_m[k]:.4g} mm deeper than allowed, after {float(times_s[k]):.2f} s; {_REMEDY}"
+            )
 
 
 def _step(count: int) -> int:

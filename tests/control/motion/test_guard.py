@@ -205,7 +205,7 @@ def moved(guard: Guard, start: tuple[float, ...], end: tuple[float, ...]) -> Non
 def test_a_joint_move_is_refused_by_what_lies_on_its_way_and_not_only_at_its_end() -> None:
     guard = Guard(RIGHT, LIMITS)
     moved(guard, (0.0, 0.15, 0.75), (1.0, -0.9, -0.25))
-    with pytest.raises(MotionError, match=r"the tip would be below the floor or table, 0\.\d+ m deeper than allowed"):
+    with pytest.raises(MotionError, match=r"the tip would be below the floor or table, [1-9][\d.]* mm deeper than allowed"):
         moved(guard, (0.0, 0.15, 0.75), (0.0, -1.9, -0.6))
     with pytest.raises(MotionError, match=r"after .* s; nothing was moved"):
         moved(guard, (0.0, -0.9, -0.3), (0.0, -1.1, -1.2))

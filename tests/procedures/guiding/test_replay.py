@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from control.errors import ArmError
+from control.errors import ArmError, MotionError
 from control.kinematics.kinematics import ForwardKinematics
 from control.motion.joint_limits import JointLimits
 from control.safety.modes import Mode
@@ -71,6 +72,14 @@ def test_a_pose_outside_of_the_range_and_an_arm_that_hardly_moved_are_refused() 
         replayed(shown(4.0, reach=8.0), RIGHT)
     with pytest.raises(ArmError, match="hardly moved by hand"):
         replayed(shown(4.0, reach=0.0), RIGHT)
+
+
+def test_a_way_below_the_floor_is_refused_before_the_arm_moves_to_its_beginning() -> None:
+    guided = shown(4.0, reach=-1.0)
+    heights = ForwardKinematics(RIGHT).tips(guided.q_rad)[:, 2]
+    floor_m = 0.5 * float(heights[0] + heights.min())
+    with pytest.raises(MotionError, match=r"below the floor .* mm deeper than allowed.*; nothing was moved"):
+        replayed(guided, replace(RIGHT, table=None, limits=replace(RIGHT.limits, floor_z_m=floor_m)))
 
 
 def recorded(folder: Path, modes: list[tuple[int, Mode]]) -> Path:
