@@ -8,6 +8,7 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,9 @@ def _supplied_name(name: str) -> str:
     plain = re.sub(r"[-_ .]", "", name).lower()
     if plain not in arm_names():
         names = " or ".join(f'"{name}"' for name in arm_names())
-        raise ArmFileError(name, None, "", f"a path to an arm.toml, or {names}", "an unknown name")
+        near = get_close_matches(plain, arm_names(), n=1)
+        meant = f"did you mean {near[0]}?" if near else ""
+        raise ArmFileError(name, None, "", f"a path to an arm.toml, or {names}", "an unknown name", meant)
     return plain
 
 

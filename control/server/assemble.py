@@ -73,7 +73,7 @@ def assemble(
     prepare()
     limits, loads = JointLimits.of(arm), Loads(arm)
     tools = {tool.name: _tool_parts(arm.with_tool(tool.name), limits) for tool in arm.tools}
-    names = tuple(arm.joint_names[drive.joint - 1] for drive in arm.drives)
+    names = tuple(_name_in_messages(arm, drive.joint) for drive in arm.drives)
     servo, measurement = _servo(arm, loads, period_s), _measurement(arm)
     parts = Parts(
         hardware=hardware,
@@ -109,6 +109,12 @@ def assemble(
     requests = Requests(runtime, limits, arm, dict(about or {}))
     requests.beside = guard_itself(arm, runtime)
     return Assembly(runtime, requests)
+
+
+def _name_in_messages(arm: Arm, joint: int) -> str:
+    """`joint 2`, with the name that arm.toml gives, as in `joint 2 (shoulder)`: `jog --joint` takes the number."""
+    name = arm.joint_names[joint - 1]
+    return name if name == f"joint {joint}" else f"joint {joint} ({name})"
 
 
 def _checks(arm: Arm, measurement: Measurement, period_s: float, names: Sequence[str]) -> Checks:

@@ -108,7 +108,9 @@ def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: floa
             remedy = "connect the board, or correct the port of its [[board]] in arm.toml"
         boards.bad("bought boards", str(failure), "", remedy)
     for encoders in opened.encoders:
-        what = f"joint {encoders.joints[0] + 1}: answers with its counts"
+        joint = encoders.joints[0] + 1
+        name = f"joint {joint}" if joint <= arm.joint_count else "gripper"
+        what = f"{name}: answers with its counts"
         try:
             took_s = sorted(_took_s(encoders, clock) for _ in range(ASKED))
         except LinkError as error:

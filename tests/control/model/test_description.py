@@ -76,6 +76,8 @@ def test_an_index_pulse_of_the_default_arm_lies_half_a_motor_turn_above_its_swit
 def test_an_unknown_name_lists_the_names_that_ship() -> None:
     with pytest.raises(ArmFileError, match=" or ".join(f'"{name}"' for name in arm_names())):
         load_arm("wright")
+    with pytest.raises(ArmFileError, match=r"unknown name \(did you mean viperx300s\?\)"):
+        load_arm("vx300s")
 
 
 def test_a_file_that_is_not_there_is_named() -> None:

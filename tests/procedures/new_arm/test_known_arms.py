@@ -17,12 +17,12 @@ from control.model.arm import Arm
 from control.model.description import arm_names, arm_text, load_arm, parse_arm, save_arm
 from control.model.drive import SERVOS
 from hil_mocks.rig import SteppedRig
-from hil_mocks.scenario import load_scenario
+from hil_mocks.scenario import Scenario, Start, load_scenario
 from procedures.arm_sheet import sheet, warnings
 from procedures.doctor.boards import open_boards, sample
 from procedures.doctor.finding import Level, as_text, worst
 from procedures.doctor.judging import judge
-from tests.cell import open_cell, wired_to
+from tests.cell import holding_cell, open_cell, wired_to
 from tests.procedures.bringup.test_bought import SURVEY, brought
 from tests.procedures.bringup.test_bringup import said_of
 from tests.thirds import third_of
@@ -84,6 +84,16 @@ def test_the_doctor_names_joints_by_their_drives_where_arm_toml_lacks_one() -> N
     timed = {finding.what.split(":")[0] for finding in boards.findings if "answers with its counts" in finding.what}
     assert timed >= {f"joint {drive.joint}" for drive in arm.drives[1:]}
     assert "joint 1" not in timed
+    assert "gripper" in timed
+    assert f"joint {arm.joint_count + 1}" not in timed
+
+
+def test_what_the_runtime_says_of_a_joint_has_its_number_and_its_name() -> None:
+    arm = load_arm("viperx300s")
+    q_rad = (0.0, arm.drives[1].joint_upper_rad - 0.01, *[0.0] * 4)
+    with holding_cell(Scenario(start=Start(q_rad=q_rad)), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        [warning] = [text for text in cell.client.status()["warnings"] if "end of its range" in text]
+    assert warning.startswith("joint 2 (shoulder) is 0.0")
 
 
 @pytest.mark.parametrize("name", OWNED)
