@@ -350,7 +350,8 @@ def _rest(arm: Arm, form: str) -> list[str]:
         for name, part in (
             ("table", arm.table),
             ("camera", arm.camera),
-            ("boards", arm.encoder_boards or arm.can),
+            ("gripper", arm.gripper),
+            ("boards", arm.encoder_boards or arm.can or arm.boards),
             ("rest pose", arm.rest),
         )
         if part

@@ -18,6 +18,7 @@ from pytransform3d.urdf import UrdfTransformManager
 from calib.arm_import import arm_links, read_arm
 from calib.errors import CalibrationError
 from calib.export import FORMS, export, export_text
+from calib.export.rigid import losses
 from console.main import main
 from control.dynamics.dynamics import Dynamics
 from control.files import NotWritten
@@ -324,6 +325,10 @@ def test_the_command_writes_the_file_and_says_what_it_lacks(
     assert path.read_text("utf-8") == export_text(load_arm("left"), form)
     assert main(["export-arm", "--arm", "left", "--export", form, "--out", str(path)]) == 2
     assert "is not overwritten" in capsys.readouterr().err
+
+
+def test_gripper_and_bought_boards_are_among_what_a_form_lacks() -> None:
+    assert "urdf cannot express: gripper, boards, rest pose; omitted" in losses(load_arm("viperx300s"), "urdf")
 
 
 @pytest.mark.parametrize("form", ["urdf", "mjcf"])
