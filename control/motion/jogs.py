@@ -254,7 +254,7 @@ class TipJog:
         self._stop: StopMotion | None = None  # once the jog has met an obstacle
         self._stop_s = 0.0
         self.limited = ""
-        self._is_slow = False  # near a singular pose
+        self._is_slow = False  # near a singular pose, or since a joint has no more speed
         self._aim_here()
 
     def _aim_here(self) -> None:
@@ -362,7 +362,8 @@ class TipJog:
         rate = np.array(self._tip.rate)
         self._is_slow = after.is_damped or share < 1.0
         if self._is_slow:
-            self.limited = "slowed near a singular pose: joint speeds are limited"
+            where = " near a singular pose" if after.is_damped else ""
+            self.limited = f"slowed{where}: joint speeds are limited"
         elif self._task.nearest and any(self._tip.rate):
             moved = self._seen[2] @ speed
             if float(moved @ rate) < _PARTLY * float(rate @ rate):

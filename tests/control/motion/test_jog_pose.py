@@ -17,6 +17,7 @@ from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_inverse import task_of
 from control.loop.jogging import Jogging, JogRequest, TipStep, TipVelocity
 from control.model.arm import Arm
+from control.model.description import load_arm
 from control.motion.guard import Guard
 from control.motion.jogs import DampedRates
 from control.motion.joint_limits import JogLimits, JointLimits
@@ -172,6 +173,14 @@ def test_through_a_singular_pose_the_jog_is_slowed_and_goes_on() -> None:
     assert turned[-1, 1] > 0.7
     speeds = np.abs([state.speed_rad_s for state in hand.states])
     assert speeds.max() <= max(d.joint_speed_limit_rad_s for d in SIX.drives)
+
+
+def test_a_jog_that_only_the_joints_speeds_slow_is_not_said_to_be_near_a_singular_pose() -> None:
+    """At 0.25 m/s joint 2 would need 0.97 of its speed here, far from every singular pose (0.10 m/rad)."""
+    hand = Hand(load_arm("openmanipulatorx"), (0.0, -0.3, 0.3, 0.3))
+    hand.ask(TipVelocity((0.25, 0.0, 0.0)))
+    hand.hold(0.02)
+    assert hand.jogging.limited == "slowed: joint speeds are limited"
 
 
 def test_at_the_end_of_a_range_the_arm_comes_to_rest_inside_and_can_go_back() -> None:
