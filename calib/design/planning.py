@@ -176,6 +176,8 @@ def plan_poses(arm: Arm, recorded: Points | None, request: Request, choice: Choi
 
 
 def _noise_m(arm: Arm, request: Request) -> float:
+    if arm.camera is None and arm.table is None:  # a noise alone would not help
+        raise CalibrationError(_nothing_to_plan(arm, request))
     noise_m = request.noise_m
     if noise_m is None and arm.camera is not None:
         noise_m = arm.camera.position_noise_m
@@ -240,7 +242,8 @@ def _nothing_to_plan(arm: Arm, request: Request) -> str:
     if request.only == "free" and arm.camera is None:
         return f"arm {arm.name} has no [camera], and free poses need a camera that measures the tip: add one"
     if arm.camera is None and arm.table is None:
-        return f"arm {arm.name} has neither a [table] nor a [camera]: nothing can measure the tip; add one"
+        missing = "nothing can measure the tip; add [camera] with position_noise_m, or [table]"
+        return f"arm {arm.name} has neither a [table] nor a [camera]: {missing}"
     if request.only == "table" and arm.table is None:
         return f"arm {arm.name} has no [table]: add one, or omit --only table"
     return (

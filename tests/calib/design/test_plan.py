@@ -199,6 +199,7 @@ def test_files_are_read_back_as_they_were_meant(tmp_path):
         (dataclasses.replace(ARM, camera=None), Request(), "give --noise"),
         (dataclasses.replace(ARM, camera=None), Request(only="free", noise_m=1e-4), r"no \[camera\]"),
         (dataclasses.replace(ARM, camera=None, table=None), Request(noise_m=1e-4), r"neither a \[table\] nor a \[camera\]"),
+        (dataclasses.replace(ARM, camera=None, table=None), Request(), r"neither .* add \[camera\] with position_noise_m"),
         (ARM, Request(only="free", view=CameraBox((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))), "no pose is left to plan"),
     ],
 )
