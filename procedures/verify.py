@@ -160,9 +160,13 @@ def _left_out(nominal: Arm, calibrated: Arm, is_driven: bool) -> tuple[str, ...]
     """Unused effects: the runtime corrects and feeds forward some, predictions use the static ones."""
     known = {"base_frame"} | (SIDE_EFFECTS | FED_FORWARD if is_driven else set(LAWS))
     notes = []
-    names = [_named(effect) for effect in calibrated.effects if effect.effect not in known]
-    if names:
-        notes.append(f"effects of the calibrated arm that were not used here: {', '.join(names)}")
+    unused: dict[str, list[str]] = {}
+    for effect in calibrated.effects:
+        if effect.effect not in known:
+            unused.setdefault(effect.effect, []).append(str(effect.joint or ""))
+    if unused:
+        names = (f"{name} of {', '.join(joints)}" if all(joints) else name for name, joints in unused.items())
+        notes.append(f"effects of the calibrated arm that were not used here: {'; '.join(names)}")
     was = [_named(effect) for effect in nominal.effects if effect.effect in SIDE_EFFECTS]
     if is_driven and was and not Model(nominal).has_gears_of(Model(calibrated)):
         notes.append(

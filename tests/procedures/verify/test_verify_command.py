@@ -119,6 +119,22 @@ def test_another_program_gets_the_figures_and_nothing_else(
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_an_effect_that_was_not_used_is_named_once_with_its_joints(
+    calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    friction = tuple(
+        Effect(f"{kind}_friction", joint, {parameter: 0.1})
+        for joint in (1, 2, 3)
+        for kind, parameter in (("coulomb", "torque_Nm"), ("viscous", "coefficient_Nm_s_rad"))
+    )
+    rubbing = tmp_path / "rubbing.toml"
+    save_arm(replace(load_arm(calibrated), effects=friction), rubbing)
+    given = ["--against", "right", "--points", str(measured), "--out", str(tmp_path / "out")]
+    assert main(["verify", "--arm", str(rubbing), *given]) == 0
+    assert "not used here: coulomb_friction of 1, 2, 3; viscous_friction of 1, 2, 3\n" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_the_frame_of_the_tips_is_placed_or_taken_for_the_bases_as_calibrate_is_told(
     calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
