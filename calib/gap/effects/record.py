@@ -15,12 +15,15 @@ from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import SPEAKS_FOR, USUAL
 from calib.gap.posterior.term import NO_TRAITS, Block, Term, Traits, on_joint, parameters_of
 from calib.gap.residuals.scene import (
+    Columns,
     Curve,
     OperatingPoint,
     Response,
+    Responses,
     RowConditions,
     SeriesScene,
     SeriesTerm,
+    Shape,
     departed,
     scaled,
     size_of,
@@ -77,7 +80,6 @@ def load_of(arm: Arm, points: Points, joint_rad: Array | None = None) -> Array |
 
 
 NO_TORQUE_Nm = 1e-6  # rounding: below it a joint carries nothing
-Shape = Callable[[RowConditions, int], Array]  # (c, rows), from what stands beside and the joint
 Role = Literal["", "angle", "torque"]
 Needs = Literal["motor", "angle", "tip", "electrical"]
 Over = Literal["load", "speed", "angle", "current", "time", "motor"]
@@ -241,7 +243,7 @@ def by_currents(at: RowConditions, j: int) -> Array:
     return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
 
 
-def departures(scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response) -> tuple[dict[int, Array], Array]:
+def departures(scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response) -> tuple[dict[int, Columns], Array]:
     """Columns of a law's departures on a joint (0-based), each as large as the law; every channel for itself.
 
     With them what departures change that looks like the law itself, a part of each for every shape of a variable (`departed`), of
@@ -255,12 +257,12 @@ def departures(scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Res
     channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
     for channel in channels:
         of_channel = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
-        wanted = {cell: [shape(scene.beside[cell], joint) for shape in shapes] for cell in of_channel}
-        bent, projection = departed(of_channel, {cell: np.concatenate(columns) for cell, columns in wanted.items()})
+        wanted = {cell: scene.shapes(shapes, joint, cell) for cell in of_channel}
+        bent, projection = departed(of_channel, {cell: columns for cell, (columns, _) in wanted.items()})
         if bent:
             parts.append(bent)
         if (size := float(np.linalg.norm(size_of(of_channel)))) > largest:
-            counts = [len(columns) for columns in next(iter(wanted.values()))]
+            _, counts = next(iter(wanted.values()))
             alike, largest = projection / np.sqrt(np.repeat(counts, counts))[:, None, None], size
     return (stacked(parts) if parts else {}), alike
 
@@ -281,7 +283,7 @@ def filled(
         return
     series, joint = sought.series, (followed_joint(sought.key.effect, sought.key.joint) or 1) - 1
     bent, alike = departures(sought.point.scene, series.departs, joint, laws)
-    departs = [response for response in (bent, more or {}) if response]
+    departs: list[Responses] = [response for response in (bent, more) if response]
     count, bends = (sum(next(iter(response.values())).shape[1] for response in responses) for responses in ([laws], departs))
     now = term.now if term.now is None else np.insert(term.now, count, np.zeros(bends))
     yield dataclasses.replace(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +75,71 @@ def _shares(measured: Array, rate_Hz: float) -> Array:
     return np.asarray(np.clip(1.0 - SURELY * noise / np.maximum(np.stack(smooth, axis=1), 1e-300), 0.0, 1.0))
 
 
+@dataclass(frozen=True, slots=True)
+class Product:
+    """Columns `of` (rows, l) times each of some shapes (d, rows / every), of which those `picked` (c,) are taken, less what the
+    columns themselves do of these by `own` (l, c), times `size` (c,). Rows are made where they are asked for: all of them would
+    be the largest part of all memory.
+    """
+
+    of: Array
+    shapes: Array
+    every: int
+    picked: Places
+    own: Array | None
+    size: Array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return len(self.of), len(self.size)
+
+    def __getitem__(self, rows: slice) -> Array:
+        of, (first, end, _), every = self.of[rows], rows.indices(len(self.of)), self.every
+        shapes = self.shapes[:, first // every : -(-end // every)]
+        if every > 1:
+            shapes = np.repeat(shapes, every, axis=1)[:, first % every : first % every + len(of)]
+        products = (shapes.T[:, :, None] * of[:, None, :]).reshape(len(of), len(shapes) * of.shape[1])
+        if self.own is None:
+            return np.asarray(products * self.size)
+        picked = products if products.shape[1] == len(self.picked) else products[:, self.picked]
+        picked -= of @ self.own
+        picked *= self.size
+        return np.asarray(picked)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns side by side."""
+
+    parts: tuple[Array | Product, ...]
+
+    @classmethod
+    def of(cls, some: Iterable[Array | Product | Columns]) -> Columns:
+        """What stands side by side already stays so."""
+        parts = ([*one.parts] if isinstance(one, Columns) else [one] for one in some)
+        return cls(tuple(itertools.chain(*parts)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.parts[0].shape[0], sum(part.shape[1] for part in self.parts)
+
+    def __getitem__(self, rows: slice) -> Array:
+        made = np.empty((len(range(*rows.indices(self.shape[0]))), self.shape[1]))
+        end = 0
+        for part in self.parts:
+            own = part[rows]
+            begin, end = end, end + own.shape[1]
+            made[:, begin:end] = own
+        return made
+
+    def __matmul__(self, size: Array) -> Array:
+        return np.asarray(self[:] @ size)
+
+
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
+Responses = Mapping[int, Array | Product | Columns]
 TIP_ROW_s = 0.03  # frames within it are one row of the evidence: joints move at up to some 7 Hz
 AXES = 3
 SHOWN = 0.98  # of the samples: a motor's largest current, peaks left out
@@ -133,6 +198,9 @@ class RowConditions:
         return np.asarray(direction(self.speed, np))
 
 
+Shape = Callable[[RowConditions, int], Array]  # (c, rows), from what stands beside and the joint
+
+
 @dataclass(frozen=True, slots=True)
 class Thin:
     """The rows of a cell as evidence counts them: each a sum of some, over the root of their count, so that noise stays as it is.
@@ -172,9 +240,13 @@ class Thin:
         """Values (rows, ...) thinned."""
         return values if self.mix is None else np.asarray(self.mix @ values)
 
-    def mixed(self, of_thin: sparse.csr_array) -> sparse.csr_array:
-        """A matrix on thin rows as one on the rows that they consist of."""
-        return of_thin if self.mix is None else sparse.csr_array(of_thin @ self.mix)
+    def rows(self, columns: Columns, thin: slice) -> Array:
+        """Some thin rows of columns (rows, c)."""
+        if self.mix is None:
+            return columns[thin]
+        mix = self.mix[thin]
+        needed = slice(int(mix.indices.min()), int(mix.indices.max()) + 1)
+        return np.asarray(mix[:, needed] @ columns[needed])
 
     def all_of(self, flags: Flags) -> Flags:
         """Thin rows that consist of flagged ones alone."""
@@ -195,6 +267,13 @@ def _given_Nm(physics: Physics) -> Array:
         most_A = float(np.quantile(np.abs(np.concatenate(drawn)), SHOWN)) if any(map(len, drawn)) else 0.0
         largest_Nm.append(max(times * most_A * abs(float(physics.torque_per_A[j])), LEAST_Nm))
     return np.array(largest_Nm)
+
+
+class Large(Protocol):
+    """What is made anew where there is no room for it and another."""
+
+    def forget(self) -> None:
+        """Give the memory back."""
 
 
 class SeriesScene:
@@ -221,7 +300,16 @@ class SeriesScene:
         self.thinned = [self._thinned(cell, beside) for cell, beside in zip(self.cells, self.beside, strict=True)]
         ends = np.cumsum([0, *(len(thin.run) for thin in self.thinned)]).tolist()
         self.thin = [slice(first, end) for first, end in itertools.pairwise(ends)]
+        self._shapes: dict[tuple[object, int, int], tuple[Array, list[int]]] = {}
+        self._levers: dict[int, Array] = {}
+        self._in_memory: Large | None = None
         self.keep(np.ones(len(rows.table.run), dtype=bool))
+
+    def makes_room_for(self, large: Large) -> None:
+        """Forget what is as large."""
+        if self._in_memory is not None:
+            self._in_memory.forget()
+        self._in_memory = large
 
     def keep(self, usable: Flags) -> None:
         """Rows (k,) that models can speak of from now on; the others are like gaps."""
@@ -249,6 +337,14 @@ class SeriesScene:
         table, begins = self.rows.table, np.searchsorted(self.whole.run, np.arange(len(self.recording.runs)))
         sample = np.round(table.t_s[cell.rows] * self.recording.filters.rate_Hz).astype(np.intp)
         return self.whole.at(begins[table.run[cell.rows]] + sample, AXES if cell.joint < 0 else 1)
+
+    def shapes(self, functions: Sequence[Shape], joint: int, k: int) -> tuple[Array, list[int]]:
+        """Functions of a joint (0-based) at the rows of a cell, (c, rows), and how many are of each; kept, as laws share them."""
+        key = tuple(functions), joint, k
+        if key not in self._shapes:
+            found = [function(self.beside[k], joint) for function in functions]
+            self._shapes[key] = np.concatenate(found), [len(own) for own in found]
+        return self._shapes[key]
 
     def number(self, channel: str, joint: int = -1) -> int | None:
         """Of the cell of a channel and joint (0-based), if there is one."""
@@ -282,10 +378,14 @@ class SeriesScene:
                 passed[mine] = rows[(beside.sample[mine] - filters.reach) // filters.step]
         return passed
 
-    def ahead(self, joint: int, angle_rad: Array) -> dict[int, Array]:
+    def ahead(self, joint: int, angle_rad: Array) -> dict[int, Product]:
         """The tips' response to a joint that is further than its encoder says by angles (c, tip rows)."""
-        k = self.number("tip_m")
-        return {} if k is None else {k: (angle_rad * self.lever_m(joint)).T / self.cells[k].floor}
+        k, count = self.number("tip_m"), len(angle_rad)
+        if k is None:
+            return {}
+        of_frames, lever = angle_rad[:, ::AXES].copy(), self._levers.setdefault(joint, self.lever_m(joint)[:, None])
+        size = np.full(count, 1.0 / self.cells[k].floor)
+        return {k: Product(lever, of_frames, AXES, np.arange(count), None, size)}
 
     def lever_m(self, joint: int) -> Array:
         """How each row of the tips follows a joint (0-based)."""
@@ -348,7 +448,7 @@ class SeriesTerm(Term):
     `law`: the physics' term for coefficients (c,) of all columns, in usual sizes; None for blocks.
     """
 
-    response: Response = field(default_factory=dict)
+    response: Mapping[int, Columns] = field(default_factory=dict)
     law: Callable[[Array], Law] | None = None
     now: Array | None = None  # coefficients at which the model of this linearisation has it
     is_common: bool = False  # every gear has it, and the file says nothing of it
@@ -365,10 +465,11 @@ class SeriesTerm(Term):
 
         Those of one variable look alike, and may take each other's place; those of a channel that hardly shows the law are noise.
         """
-        ends = self.laws, self.laws + self.departures
-        law = sum(float(np.sum((columns[:, : ends[0]] @ size[: ends[0]]) ** 2)) for columns in self.response.values())
-        bent = slice(*ends)
-        departs = sum(float(np.sum((columns[:, bent] @ size[bent]) ** 2)) for columns in self.response.values())
+        ends, law, departs = (self.laws, self.laws + self.departures), 0.0, 0.0
+        for columns in self.response.values():
+            rows = columns[:]
+            law += float(np.sum((rows[:, : ends[0]] @ size[: ends[0]]) ** 2))
+            departs += float(np.sum((rows[:, slice(*ends)] @ size[slice(*ends)]) ** 2))
         return math.sqrt(departs / law) if law > 0.0 else 0.0
 
     @property
@@ -408,16 +509,15 @@ class Curve:
         return estimate, spread
 
 
-def stacked(parts: Sequence[Response]) -> dict[int, Array]:
+def stacked(parts: Sequence[Responses]) -> dict[int, Columns]:
     """Responses side by side, nought where one has nothing."""
     cells = sorted({cell for part in parts for cell in part})
     widths = [next((columns.shape[1] for columns in part.values()), 1) for part in parts]
     joined = {}
     for cell in cells:
         rows = next(part[cell].shape[0] for part in parts if cell in part)
-        joined[cell] = np.hstack(
-            [part[cell] if cell in part else np.zeros((rows, width)) for part, width in zip(parts, widths, strict=True)]
-        )
+        nought = (np.broadcast_to(0.0, (rows, width)) for width in widths)
+        joined[cell] = Columns.of(part.get(cell, none) for part, none in zip(parts, nought, strict=True))
     return joined
 
 
@@ -434,7 +534,7 @@ def size_of(response: Response) -> Array:
     return np.asarray(np.sqrt(np.atleast_1d(total)))
 
 
-def departed(law: Response, shapes: Mapping[int, Array]) -> tuple[dict[int, Array], Array]:
+def departed(law: Response, shapes: Mapping[int, Array]) -> tuple[dict[int, Product], Array]:
     """Each law's column times each shape (c, rows of a cell), what is the law itself taken off, as large as the law; and what
     was taken off: by how much each law's coefficients change with a departure as large as the law, (c, laws, laws).
     """
@@ -456,6 +556,11 @@ def departed(law: Response, shapes: Mapping[int, Array]) -> tuple[dict[int, Arra
     rest = {cell: products[cell] - response @ share for cell, response in law.items()}
     sizes = size_of(rest)
     apart = sizes > BENDS_LEAST * whole
-    columns = {cell: response[:, apart] * (whole / sizes[apart]) for cell, response in rest.items()} if apart.any() else {}
+    picked, of_size = np.flatnonzero(apart), np.asarray(whole / sizes[apart])
+    columns = {
+        cell: Product(own, shapes[cell], 1, picked, np.asarray(share[:, picked]), of_size)
+        for cell, own in law.items()
+        if apart.any()
+    }
     projection = share / np.maximum(size_of(products), 1e-300) * whole
     return columns, np.moveaxis(projection.reshape(count, -1, count), 1, 0)

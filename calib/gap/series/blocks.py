@@ -14,7 +14,7 @@ from calib.arrays import Array
 from calib.gap.effects.motor import COULOMB
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, smooth
-from calib.gap.residuals.scene import OperatingPoint, Response, RowConditions, SeriesScene, SeriesTerm
+from calib.gap.residuals.scene import OperatingPoint, Responses, RowConditions, SeriesScene, SeriesTerm, stacked
 from calib.gap.signals.terms import typical
 
 ZERO_rad, PLACE_m, CAMERA_s = 3e-4, 3e-4, 5e-4  # sizes worth a word, as those of forms
@@ -46,11 +46,11 @@ def _beside(columns: Array, laws: Array) -> Array:
     return np.asarray(columns - np.linalg.lstsq(laws.T, columns.T, rcond=None)[0].T @ laws)
 
 
-def _block(joint: int, variable: str, words: str, response: Response) -> Iterator[SeriesTerm]:
+def _block(joint: int, variable: str, words: str, response: Responses) -> Iterator[SeriesTerm]:
     if not response:
         return
     width = next(iter(response.values())).shape[1]
-    yield SeriesTerm(Block(joint, variable), words, width, response=response)
+    yield SeriesTerm(Block(joint, variable), words, width, response=stacked([response]))
 
 
 def torque_size(scene: SeriesScene, j: int) -> float:
@@ -215,7 +215,7 @@ def _clocks(point: OperatingPoint) -> Iterator[SeriesTerm]:
         moved = sum(scene.lever_m(j) * speeds[:, j] for j in range(scene.arm.joint_count))
         size = USUAL * CAMERA_s
         columns = size / scene.cells[number].floor * np.asarray(moved)[:, None]
-        yield SeriesTerm(Block(0, "camera time"), CAMERA, size=size, response={number: columns})
+        yield SeriesTerm(Block(0, "camera time"), CAMERA, size=size, response=stacked([{number: columns}]))
 
 
 CAMERA = "the tip, in proportion to its speed: the camera's times are offset"

@@ -27,7 +27,7 @@ from calib.gap.posterior.decide import rivals
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key
-from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm, scaled
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm, scaled, stacked
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import ACCELERATION, blocks_of, torque_size
 from calib.gap.series.linear import Marginal, SeriesFit, SeriesLinear, cross_validated, noises_of, refitted, weighed
@@ -222,8 +222,7 @@ def against_rivals(
     tried: set[frozenset[EffectName]] = set()
     for count in range(RIVALS_MOST):
         advance("rivals of what was found", FITTED + (COMPARED - FITTED) * count / RIVALS_MOST)
-        open_ = (contest for contest in contests(fit) if frozenset(contest[:2]) not in tried)
-        if (contest := next(open_, None)) is None:
+        if (contest := next((one for one in contests(fit) if frozenset(one[:2]) not in tried), None)) is None:
             break
         name, rival, members = contest
         tried.add(frozenset((name, rival)))
@@ -261,9 +260,10 @@ def _with(fit: SeriesFit, members: Weighed) -> SeriesFit:
 
 def _log(fit: SeriesFit, rows: Picked) -> float:
     """Log posterior of a fit's best set on thin rows, that of another operating point may be compared with."""
-    gram = Marginal.of(fit.linear.gram(fit.noises, rows), fit.linear.first).apart
-    evidence = Evidence(gram, fit.linear.terms, FLOOR_DOUBT)
-    return Search(evidence).weigh(fit.best.members).log - 0.5 * gram.left
+    numbers = [number for number, term in enumerate(fit.linear.terms) if term.key in fit.names]
+    linear, members = fit.linear.only(numbers), [(numbers.index(number), scale) for number, scale in fit.best.members]
+    gram = Marginal.of(linear.gram(fit.noises, rows), linear.first).apart
+    return Search(Evidence(gram, linear.terms, FLOOR_DOUBT)).weigh(members).log - 0.5 * gram.left
 
 
 # What is never known better: integrated out of every set, so that nothing of it is taken for an effect.
@@ -289,7 +289,7 @@ def nuisances(point: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[Se
         is_small = isinstance(term.key, EffectName) and not comes_round(term.key.effect)
         if is_small or (isinstance(term.key, Block) and term.count == 1):
             response = {
-                cell: columns[:, : term.laws]
+                cell: columns[:][:, : term.laws]
                 for cell, columns in term.response.items()
                 if not (isinstance(term.key, EffectName) and is_gear(term.key.effect)) or point.scene.cells[cell].joint < 0
             }
@@ -333,8 +333,9 @@ def _departing(point: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
     column = point.scene.split(point.scene.columns.friction_slope(law)[:, None])
     bent, _ = departures(point.scene, series.departs, law.name.joint - 1, column)
     if bent:
-        yield _nuisance(f"{law.name}, as it departs", scaled(bent, ROUGH), next(iter(bent.values())).shape[1])
+        columns = {cell: own[:] for cell, own in bent.items()}
+        yield _nuisance(f"{law.name}, as it departs", scaled(columns, ROUGH), next(iter(bent.values())).shape[1])
 
 
 def _nuisance(words: str, response: dict[int, np.ndarray], width: int) -> SeriesTerm:
-    return SeriesTerm(NUISANCES, words, width, response=response)
+    return SeriesTerm(NUISANCES, words, width, response=stacked([response]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -15,12 +15,12 @@ from calib.gap.posterior.decide import Decision, included
 from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.search import MergingSearch
 from calib.gap.posterior.term import Key
-from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm
-from calib.gap.residuals.whitening import Noise, fitted
+from calib.gap.residuals.scene import Columns, OperatingPoint, SeriesScene, SeriesTerm
+from calib.gap.residuals.whitening import Noise, RowOrder, fitted
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 
-ROWS_AT_ONCE = 1024  # that are whitened for a Gram matrix
+AT_ONCE = 2**20  # numbers that are whitened for a Gram matrix, or of it are changed: 8 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +45,20 @@ class SeriesLinear:
         for term in terms:
             if term.now is not None and term.key in point.laws:
                 for number, response in term.response.items():
-                    y[point.scene.cells[number].rows] += response[:, : len(term.now)] @ term.now
+                    y[point.scene.cells[number].rows] += response[:][:, : len(term.now)] @ term.now
         thin = zip(point.scene.cells, point.scene.thinned, strict=True)
         thin_y = np.concatenate([thinned.of(y[cell.rows]) for cell, thinned in thin])
         ends = np.cumsum([sum(term.count for term in nuisances), *(term.count for term in terms)]).tolist()
         places = tuple(np.arange(first, end) for first, end in itertools.pairwise(ends))
         return cls(point.scene, tuple(terms), tuple(nuisances), y, thin_y, places)
 
-    def _moving(self, k: int) -> Iterator[tuple[Array, Places]]:
+    def only(self, numbers: Sequence[int]) -> SeriesLinear:
+        """With some of its terms."""
+        terms = tuple(self.terms[number] for number in numbers)
+        ends = itertools.accumulate((term.count for term in terms), initial=self.first)
+        return replace(self, terms=terms, places=tuple(np.arange(*ends_of) for ends_of in itertools.pairwise(ends)))
+
+    def _moving(self, k: int) -> Iterator[tuple[Columns, Places]]:
         """Columns (rows, c) of each term that moves a cell, and their places among all."""
         ends = np.cumsum([0, *(term.count for term in self.nuisances)]).tolist()
         own = (np.arange(first, end) for first, end in itertools.pairwise(ends))
@@ -74,9 +80,10 @@ class SeriesLinear:
         """Places of the columns of terms by number, after the nuisances'."""
         return np.concatenate([np.arange(self.first), *(self.places[number] for number in numbers)])
 
-    def gram(self, noises: Sequence[Noise], rows: Picked) -> Gram:
+    def gram(self, noises: Sequence[Noise], rows: Picked, series: Sequence[RowOrder] | None = None) -> Gram:
         """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it, and what
-        other recordings tell. Some rows after the others: whitened, all columns would take as much memory again as they do.
+        other recordings tell. Some rows after the others: all columns at once would take more memory than all else. `series`: how
+        the rows follow each other, by default as they do now.
         """
         total, squares, count = self.count, 0.0, 0
         seen, pull = np.zeros((total, total)), np.zeros(total)
@@ -84,16 +91,21 @@ class SeriesLinear:
             picked = rows[thin]
             if not picked.any():
                 continue
-            moving, whitener = list(self._moving(k)), self.scene.series[k].whitener(noises[k], picked)
+            moving, whitener = list(self._moving(k)), (series or self.scene.series)[k].whitener(noises[k], picked)
             at = np.concatenate([np.zeros(0, np.intp), *(places for _, places in moving)])
-            white_y, mixed = whitener @ self.thin_y[thin], self.scene.thinned[k].mixed(whitener)
+            white_y, side_by_side = whitener @ self.thin_y[thin], Columns.of(columns for columns, _ in moving)
             inner, own = np.zeros((len(at), len(at))), np.zeros(len(at))
-            for first in range(0, len(white_y), ROWS_AT_ONCE):
-                part = mixed[first : first + ROWS_AT_ONCE]
-                white = np.column_stack([part @ columns for columns, _ in moving] or [np.zeros((part.shape[0], 0))])
+            for rows_of in _blocks(len(picked), len(at)):
+                some = slice(*np.searchsorted(np.flatnonzero(picked), (rows_of.start, rows_of.stop)).tolist())
+                if not moving or some.start == some.stop:
+                    continue
+                part = whitener[some]
+                needed = slice(int(part.indices.min()), int(part.indices.max()) + 1)
+                white = part[:, needed] @ self.scene.thinned[k].rows(side_by_side, needed)
                 inner += white.T @ white
-                own += white.T @ white_y[first : first + ROWS_AT_ONCE]
-            seen[np.ix_(at, at)] += inner
+                own += white.T @ white_y[some]
+            for block in _blocks(len(at), len(at)):
+                seen[np.ix_(at[block], at)] += inner[block]
             pull[at] += own
             squares += float(white_y @ white_y)
             count += int(picked.sum())
@@ -113,7 +125,7 @@ class SeriesLinear:
             for response, own in self._moving(k):
                 asked = number[own] >= 0
                 if asked.any():
-                    columns[:, number[own][asked]] = self.scene.thinned[k].of(response[:, asked])
+                    columns[:, number[own][asked]] = self.scene.thinned[k].of(response[:][:, asked])
             yield rows, columns, self.scene.series[k].whitened(columns, noises[k])
 
     def explained(self, numbers: Sequence[int], size: Array) -> Array:
@@ -133,10 +145,16 @@ class SeriesLinear:
         return result
 
 
+def _blocks(count: int, columns: int) -> Iterator[slice]:
+    """Some rows of so many columns after the others."""
+    some = max(1, AT_ONCE // max(columns, 1))
+    return (slice(first, min(first + some, count)) for first in range(0, count, some))
+
+
 @dataclass(frozen=True, slots=True)
 class Marginal:
     """A Gram matrix of which the first n columns, of prior standard deviation one, are integrated out: G - T'T and h - T't of the
-    others, `apart`, beside these columns' own G with all (n, p) and h (n,), T and t. To keep G besides would take twice as much.
+    others, `apart`, beside these columns' own G with all (n, p) and h (n,), T and t.
     """
 
     apart: Gram
@@ -147,12 +165,13 @@ class Marginal:
 
     @classmethod
     def of(cls, gram: Gram, first: int) -> Marginal:
-        """Without the first columns."""
+        """Without the first columns, in the place of G: both would take twice as much."""
         seen, pull = gram.tip[:first].copy(), gram.pull[:first].copy()
         root = np.linalg.cholesky(np.eye(first) + seen[:, :first])
         taken, drawn = solve_triangular(root, seen[:, first:], lower=True), solve_triangular(root, pull, lower=True)
-        left = taken.T @ taken  # of one array with itself: half the products of any other
-        np.subtract(gram.tip[first:, first:], left, out=left)
+        left = gram.tip[first:, first:]
+        for block in _blocks(len(left), len(left)):
+            left[block] -= taken[:, block].T @ taken
         # what is told of other columns tells nothing of these
         current = None if gram.current is None else gram.current[first:, first:].copy()
         squares = gram.left - float(drawn @ drawn)
@@ -212,20 +231,70 @@ BARRED_MOST = 4  # times that is searched, each without the laws that stood for 
 GONE_BY_s = 1e-9  # time constant of a drift that is over at once
 
 
-@dataclass(frozen=True, slots=True)
-class SeriesFit:
-    """One linearisation, the noise around it, and what was decided; `gram` on the rows, its first columns nuisances; `sets`: all
-    that were weighed, best first.
+class Weighing:
+    """What thin rows tell of a linearisation's terms. Its Gram matrix is large: of all weighings of a scene that one alone has it
+    which was asked last, and what is asked of another makes its own anew.
     """
 
+    def __init__(self, linear: SeriesLinear, noises: Sequence[Noise], rows: Picked) -> None:
+        self.linear, self.noises, self.rows, self._series = linear, tuple(noises), rows, linear.scene.series
+        self._made: tuple[Marginal, Evidence] | None = None
+
+    @property
+    def gram(self) -> Marginal:
+        """With nuisances as its first columns."""
+        return self._of_rows()[0]
+
+    @property
+    def evidence(self) -> Evidence:
+        """Of sets of terms beside the nuisances."""
+        return self._of_rows()[1]
+
+    def forget(self) -> None:
+        """Give the memory back."""
+        self._made = None
+
+    def _of_rows(self) -> tuple[Marginal, Evidence]:
+        if self._made is None:
+            self.linear.scene.makes_room_for(self)
+            gram = Marginal.of(self.linear.gram(self.noises, self.rows, self._series), self.linear.first)
+            self._made = gram, Evidence(gram.apart, self.linear.terms, FLOOR_DOUBT)
+        return self._made
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesFit:
+    """One linearisation, the noise around it, and what was decided; `sets`: all that were weighed, best first."""
+
     point: OperatingPoint
-    linear: SeriesLinear
-    noises: tuple[Noise, ...]
-    gram: Marginal
-    evidence: Evidence
+    weighing: Weighing
     sets: tuple[Weighed, ...]
     decision: Decision
-    rows: Picked
+
+    @property
+    def linear(self) -> SeriesLinear:
+        """The terms."""
+        return self.weighing.linear
+
+    @property
+    def noises(self) -> tuple[Noise, ...]:
+        """Of each cell."""
+        return self.weighing.noises
+
+    @property
+    def rows(self) -> Picked:
+        """The thin rows that were looked at."""
+        return self.weighing.rows
+
+    @property
+    def gram(self) -> Marginal:
+        """Of these rows, with nuisances as its first columns."""
+        return self.weighing.gram
+
+    @property
+    def evidence(self) -> Evidence:
+        """Of sets of terms."""
+        return self.weighing.evidence
 
     @property
     def best(self) -> Weighed:
@@ -256,9 +325,8 @@ def weighed(
     point: OperatingPoint, linear: SeriesLinear, noises: Sequence[Noise], split: RowSplit, starts: Sequence[frozenset[Key]]
 ) -> SeriesFit:
     """The sets of effects around an operating point, weighed on the rows that decide; `starts`: sets to begin with."""
-    rows = point.scene.picked(split.deciding & point.scene.usable)
-    gram = Marginal.of(linear.gram(noises, rows), linear.first)
-    evidence = Evidence(gram.apart, linear.terms, FLOOR_DOUBT)
+    weighing = Weighing(linear, noises, point.scene.picked(split.deciding & point.scene.usable))
+    evidence = weighing.evidence
     search, begin = MergingSearch(evidence), list(starts)
     sets = search.run(begin)
     for _ in range(BARRED_MOST - 1):
@@ -266,7 +334,7 @@ def weighed(
             break
         search.bar(others)
         sets = search.run([search.keys(sets[0].members), *begin])
-    return SeriesFit(point, linear, tuple(noises), gram, evidence, tuple(sets), included(evidence, sets), rows)
+    return SeriesFit(point, weighing, tuple(sets), included(evidence, sets))
 
 
 def _bent_too_far(evidence: Evidence, linear: SeriesLinear, best: Weighed, point: OperatingPoint) -> set[Key]:

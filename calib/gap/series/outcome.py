@@ -105,7 +105,7 @@ def drawn_laws(fit: SeriesFit, names: Collection[EffectName]) -> tuple[DrawnLaw,
     rest, by_name, scene = residual_of(fit, fit.numbers), {}, fit.point.scene
     for number, size in fit.evidence.sizes(fit.best).items():
         term, laws = fit.linear.terms[number], size * (np.arange(len(size)) < fit.linear.terms[number].laws)
-        done = {k: columns @ laws for k, columns in term.response.items() if len(columns) >= ROWS_LEAST}
+        done = {k: columns @ laws for k, columns in term.response.items() if columns.shape[0] >= ROWS_LEAST}
         if term.key in names and isinstance(term.key, EffectName) and done:
             k = max(done, key=lambda k: float(np.sum(done[k] ** 2)))
             cell, whole = scene.cells[k], term.response[k] @ size

@@ -181,7 +181,7 @@ def _explained_over_remainder(fit: SeriesFit, member: Member, without: Array, wh
         rows = fit.point.scene.cells[cell].rows
         picked = reporting[rows]
         if picked.any():
-            effect = columns[picked] @ member.size
+            effect = (columns @ member.size)[picked]
             size, beside, signal = (float(np.mean(part**2)) for part in (whole[rows][picked], without[rows][picked], effect))
             explained.append(beside - size)
             remains.append(max(size - 1.0, GROWS))
@@ -196,7 +196,7 @@ def _strongest(fit: SeriesFit, member: Member, picked: Picked) -> float:
     """Mean square of what a term does to the rows picked, in the channel that it moves most there [noise variances]."""
     squares = [0.0]
     for cell, columns in member.term.response.items():
-        here = columns[picked[fit.point.scene.cells[cell].rows]] @ member.size
+        here = (columns @ member.size)[picked[fit.point.scene.cells[cell].rows]]
         if len(here):
             squares.append(float(np.mean(here**2)))
     return max(squares)
@@ -230,5 +230,5 @@ def bends(fit: SeriesFit, block: Member, names: Sequence[Member]) -> tuple[Effec
 
 def _moved(fit: SeriesFit, member: Member, count: int, cells: Collection[int]) -> float:
     """Root of the sum of squares of what a member's first columns do to the rows of cells."""
-    parts = [member.term.response[cell][:, :count] @ member.size[:count] for cell in cells if cell in member.term.response]
+    parts = [member.term.response[cell][:][:, :count] @ member.size[:count] for cell in cells if cell in member.term.response]
     return float(np.sqrt(sum(float(part @ part) for part in parts)))

@@ -19,7 +19,7 @@ from calib.gap.signals.terms import Law
 SHORTEST_SPRING_rad_Nm = 1e-8
 LEAST_INERTIA = 0.1  # of the nominal one
 RESTING_rad_s = 0.002  # between link and motor: slower, a loose link lies on its flank
-TERMS_KEPT = 48  # motions of elastic joints, some 1.5 MB each
+TERMS_KEPT = 24  # motions of elastic joints, some 1.5 MB each
 MODELS_KEPT = 6
 LOADS_KEPT = 24
 

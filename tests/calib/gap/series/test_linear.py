@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy import sparse
 
 from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import Gram
 from calib.gap.residuals.rows import ChannelRows
-from calib.gap.residuals.scene import OperatingPoint, SeriesTerm, Thin
+from calib.gap.residuals.scene import Columns, OperatingPoint, Product, SeriesTerm, Thin
 from calib.gap.series.linear import Marginal, SeriesLinear
 from calib.gap.signals.terms import Law
 
@@ -47,10 +47,25 @@ def test_averaged_frames_keep_their_noise_and_do_not_reach_over_a_gap() -> None:
     assert thin.sample[:9:3].tolist() == [5, 20, 105]
     noise = np.random.default_rng(1).normal(size=len(sample))
     assert np.std(thin.of(noise)) == pytest.approx(1.0, rel=0.1)
-    on_thin = sparse.csr_array(np.random.default_rng(2).normal(size=(4, len(thin.sample))))
-    np.testing.assert_allclose(thin.mixed(on_thin) @ noise, on_thin @ thin.of(noise), rtol=1e-12)
+    columns = Columns((noise[:, None], np.arange(len(sample))[:, None] * [2.0, 3.0]))
+    np.testing.assert_allclose(thin.rows(columns, slice(7, 30)), thin.of(columns[:])[7:30], rtol=1e-12)
     assert not thin.all_of(np.arange(len(sample)) > 0)[0]
     assert thin.all_of(np.arange(len(sample)) > 0)[1:].all()
+
+
+def test_rows_of_products_are_those_of_all_of_them() -> None:
+    rng = np.random.default_rng(6)
+    of, shapes, own = rng.normal(size=(12, 2)), rng.normal(size=(3, 4)), rng.normal(size=(2, 4))
+    picked, size = np.array([0, 1, 3, 5]), rng.uniform(1.0, 2.0, 4)
+    every = [of[:, law] * np.repeat(shape, 3) for shape in shapes for law in (0, 1)]
+    expected = (np.stack(every, axis=1)[:, picked] - of @ own) * size
+    product = Product(of, shapes, 3, picked, own, size)
+    side_by_side = Columns((of, product))
+    assert side_by_side.shape == (12, 6)
+    for rows in (slice(None), slice(2, 9), slice(5, 5)):
+        np.testing.assert_allclose(product[rows], expected[rows], rtol=1e-12)
+        np.testing.assert_allclose(side_by_side[rows], np.hstack((of, expected))[rows], rtol=1e-12)
+    np.testing.assert_allclose(side_by_side @ np.ones(6), of.sum(axis=1) + expected.sum(axis=1))
 
 
 def test_departures_count_by_what_they_do_together_beside_the_law_where_it_shows() -> None:
@@ -76,7 +91,7 @@ def test_what_was_integrated_out_comes_back_beside_any_of_the_others(first: int,
     if is_told:
         told[6:, 6:], pull[6:] = [[3.0, 1.0], [1.0, 2.0]], 0.5
     gram = Gram(columns.T @ columns, columns.T @ y, told if is_told else None, pull, float(y @ y), 40.0)
-    marginal, others = Marginal.of(gram, first), np.array([7, 4, 6])
+    marginal, others = Marginal.of(copy.deepcopy(gram), first), np.array([7, 4, 6])
     variance = np.eye(40) + columns[:, :first] @ columns[:, :first].T
     rest = columns[:, first:]
     np.testing.assert_allclose(marginal.apart.tip, rest.T @ np.linalg.solve(variance, rest), atol=1e-9)

@@ -24,7 +24,7 @@ from calib.gap.residuals.whitening import Noise
 from calib.gap.series.answer import covariance_of_values
 from calib.gap.series.file import identified, jackknife_variance, with_least_left
 from calib.gap.series.find import examine, find
-from calib.gap.series.linear import Marginal, SeriesLinear, refitted, weighed, without_each
+from calib.gap.series.linear import SeriesLinear, Weighing, refitted, weighed, without_each
 from calib.gap.series.split import split
 from calib.gap.series.validation import Member
 from calib.gap.signals.physics import Physics
@@ -124,11 +124,25 @@ def test_a_group_of_runs_is_left_out_as_if_it_had_not_been_recorded(around: Oper
     fit = weighed(around, linear, noises, parts, [])
     fit = replace(fit, decision=replace(fit.decision, best=Weighed(((0, 5),), 1.0, 0.0)))
     first = parts.groups[0]
-    rest = replace(fit, gram=Marginal.of(linear.gram(noises, scene.picked(parts.deciding & ~first)), linear.first))
+    rest = replace(fit, weighing=Weighing(linear, noises, scene.picked(parts.deciding & ~first)))
     whole, without = without_each(fit, [np.zeros_like(first), first])
     assert whole == pytest.approx(refitted(fit, [0])[0])
     assert without == pytest.approx(refitted(rest, [0])[0])
     assert without != pytest.approx(whole, rel=1e-3)
+
+
+def test_one_weighing_alone_has_its_gram_matrix_and_another_makes_the_same_anew(around: OperatingPoint) -> None:
+    scene, linear = around.scene, SeriesLinear.around(around, list(series_terms(around, keys={SPRING_2})))
+    rows, noises = scene.picked(scene.usable), [Noise.white(len(scene.recording.runs))] * len(scene.cells)
+    one, other = Weighing(linear, noises, rows), Weighing(linear, noises, rows & (np.arange(len(rows)) % 2 == 0))
+    first, usable = one.gram, scene.usable
+    assert one.gram is first
+    assert other.gram.apart.freedom < first.apart.freedom
+    scene.keep(np.arange(len(usable)) % 3 > 0)  # whatever rows are usable meanwhile
+    again = one.gram
+    scene.keep(usable)
+    assert again is not first
+    assert np.array_equal(again.apart.tip, first.apart.tip)
 
 
 def test_the_variance_of_a_mean_follows_from_the_means_of_all_groups_but_one() -> None:
