@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsm
 from scipy.special import log_ndtr
 
 from calib.arrays import Array
@@ -155,10 +156,8 @@ class Evidence:
         # of all scales together, with twice the density of what is positive
         twice = [math.log(2.0) * term.is_positive for term in terms]
         self._most = np.array([np.logaddexp.reduce(own) + more for own, more in zip(self.weights, twice, strict=True)])
-        self._asked: dict[Key | None, tuple[list[Batch], Places | slice]] = {
-            None: (self._batched(range(len(terms)))[0], slice(None))
-        }
-        self._asked |= {key: self._batched(numbers) for key, numbers in self.of_key.items()}
+        self._needed = {key: np.concatenate([self.places[k] for k in numbers]) for key, numbers in self.of_key.items()}
+        self._batches = self._batched()
         by_count: dict[int, list[int]] = {}
         for k, term in enumerate(terms):
             by_count.setdefault(term.count, []).append(k)
@@ -169,25 +168,22 @@ class Evidence:
         self._acting: dict[Member, tuple[Places, Places, Array]] = {}
         self._last: Inside | None = None
 
-    def _batched(self, numbers: Sequence[int]) -> tuple[list[Batch], Places]:
-        """Batches of some terms, and the columns that they need; places in a batch count within these."""
+    def _batched(self) -> list[Batch]:
+        """All terms."""
         groups: dict[object, list[int]] = {}
-        for k in numbers:
-            term, sd = self.terms[k], self.scales[k][0]
+        for k, term in enumerate(self.terms):
+            sd = self.scales[k][0]
             groups.setdefault((sd.shape, sd.tobytes(), term.laws, term.is_positive, term.is_name), []).append(k)
-        needed = np.concatenate([self.places[k] for k in numbers])
-        within = np.zeros(int(needed.max()) + 1, dtype=int)
-        within[needed] = np.arange(len(needed))
-        return [self._batch(own, within) for own in groups.values()], needed
+        return [self._batch(numbers) for numbers in groups.values()]
 
-    def _batch(self, numbers: list[int], within: Array) -> Batch:
+    def _batch(self, numbers: list[int]) -> Batch:
         places, term = np.array([self.places[k] for k in numbers]), self.terms[numbers[0]]
         # a departure is a share of the law: without the law there is none
         departs = np.any(self.scales[numbers[0]][0][:, term.laws :] > 0.0, axis=1) & term.is_name
         across = places[:, :, None], places[:, None, :]
         return Batch(
             np.array(numbers),
-            within[places],
+            places,
             self.scales[numbers[0]][0],
             np.array([self.weights[k] for k in numbers]),
             term.is_positive,
@@ -258,25 +254,37 @@ class Evidence:
             return np.zeros((0, len(self.gram.pull[others]) + 1))
         both = np.column_stack((self.gram.among(at, others, kappa), self.gram.drawn(at, kappa)))
         both *= sd[:, None]
-        return np.asarray(solve_triangular(root, both, lower=True, overwrite_b=True, check_finite=False))
+        # L T = B as T' L' = B', which lie in memory as BLAS wants them, so that nothing is copied
+        return np.asarray(dtrsm(1.0, root.T, both.T, side=1, overwrite_b=1).T)
 
     def added(self, members: Sequence[Member], kappa: float) -> Added:
         """What every term would add to a set."""
         return self.offer(members, kappa).added(range(len(self.terms)))
 
-    def added_in_place(self, members: Sequence[Member], place: int, kappa: float) -> Added:
-        """What the terms of a member's key would add to the others of its set."""
-        inside = self._inside(tuple(members), kappa)
-        first = sum(len(self._acts(member)[0]) for member in members[:place])
-        last = first + len(self._acts(members[place])[0])
-        beside = np.concatenate((np.arange(first), np.arange(last, len(inside.at))))
-        batches, asked = self._asked[self.terms[members[place][0]].key]
-        root = _root(inside.inner[np.ix_(beside, beside)])
-        both = self._taken(root, inside.at[beside], inside.sd[beside], asked, kappa)
-        factor = np.ascontiguousarray(both[:, :-1].T)
-        pull = self.gram.drawn(asked, kappa) - factor @ both[:, -1]
-        left = [_left(batch, factor[batch.places], kappa) for batch in batches]
-        return self._added(batches, left, pull)
+    def added_in_place(self, members: Sequence[Member], kappa: float, first: int = 0) -> Added:
+        """What the terms of each member's key, from the first on, would add to its others (`offers_without_each`)."""
+        inside, keys = self._inside(tuple(members), kappa), [self.terms[number].key for number, _ in members[first:]]
+        factor, asked = _root(inside.inner), [self._needed[key] for key in keys]
+        at = np.concatenate(asked)
+        both = self._taken(factor, inside.at, inside.sd, at, kappa)
+        taken, root = np.ascontiguousarray(both[:, :-1].T), _inverse(factor)
+        pull, widths = self.gram.drawn(slice(None), kappa), [len(self._acts(member)[0]) for member in members]
+        pull[at] -= taken @ both[:, -1]
+        returned, start, begin = np.zeros((len(at), max(widths))), sum(widths[:first]), 0
+        for width, places in zip(widths[first:], asked, strict=True):
+            mine, own = slice(begin, begin + len(places)), root[start:, start : start + width]
+            back = _returned(own, np.column_stack((both[start:, mine], both[start:, -1])))
+            returned[mine, :width] = back[:-1]
+            pull[places] += back[:-1] @ back[-1]
+            start, begin = start + width, mine.stop
+        within = np.zeros(len(pull), np.intp)
+        within[at] = np.arange(len(at))
+        batches, left = self._asked([number for key in keys for number in self.of_key[key]]), []
+        for batch, rows in batches:
+            own_places = within[batch.places[rows]]
+            part = returned[own_places]
+            left.append(_left(batch, taken[own_places], kappa, rows) + part @ part.transpose(0, 2, 1))
+        return self._added([batch.only(rows) for batch, rows in batches], left, pull)
 
     def offer(self, members: Sequence[Member], kappa: float) -> Offer:
         """What terms would add to a set, as it is asked for."""
@@ -294,10 +302,10 @@ class Evidence:
         inside, whole = self._inside(tuple(members), kappa), self.offer(members, kappa)
         factor = _root(inside.inner)
         both = self._taken(factor, inside.at, inside.sd, slice(None), kappa)
-        root, first = solve_triangular(factor, np.eye(len(inside.at)), lower=True, check_finite=False), 0
+        root, first = _inverse(factor), 0
         for member in members:
             own = root[first:, first : first + len(self._acts(member)[0])]  # A^-1 = root' root, and root is lower
-            returned = np.linalg.solve(np.linalg.cholesky(own.T @ own), own.T @ both[first:]).T
+            returned = _returned(own, both[first:])
             first += own.shape[1]
             parts = [returned[group.places] for group in self._groups]
             left = [of_set + part @ part.transpose(0, 2, 1) for of_set, part in zip(whole.left, parts, strict=True)]
@@ -307,11 +315,16 @@ class Evidence:
         found = [self._of_batch(batch, seen, pull[batch.places]) for batch, seen in zip(batches, left, strict=True)]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
 
-    def added_of(self, left: Sequence[Array], pull: Array, numbers: Sequence[int] | Places) -> Added:
-        """What some terms add, from the G that a set leaves of each group (t, c, c) and the h of all columns (p,)."""
+    def _asked(self, numbers: Sequence[int] | Places) -> list[tuple[Batch, Places]]:
+        """Batches that have some of the terms by number, and these terms' rows there."""
         is_asked = np.zeros(len(self.terms), dtype=bool)
         is_asked[numbers] = True
-        batches = [batch.only(rows) for batch in self._asked[None][0] if len(rows := np.flatnonzero(is_asked[batch.numbers]))]
+        asked = ((batch, np.flatnonzero(is_asked[batch.numbers])) for batch in self._batches)
+        return [(batch, rows) for batch, rows in asked if len(rows)]
+
+    def added_of(self, left: Sequence[Array], pull: Array, numbers: Sequence[int] | Places) -> Added:
+        """What some terms add, from the G that a set leaves of each group (t, c, c) and the h of all columns (p,)."""
+        batches = [batch.only(rows) for batch, rows in self._asked(numbers)]
         group, row = self._row
         seen = [left[group[batch.numbers[0]]][row[batch.numbers]] for batch in batches]
         return self._added(batches, seen, pull)
@@ -419,11 +432,23 @@ def _root(inner: Array) -> Array:
     return np.asarray(np.linalg.cholesky(inner))
 
 
-def _left(of: Batch | TermGroup, taken: Array, kappa: float) -> Array:
-    """What a set leaves of the terms' own G (t, c, c), of which it takes (t, c, k)."""
-    seen = of.tip / kappa**2
+def _inverse(root: Array) -> Array:
+    """Of Cholesky's factor."""
+    return np.asarray(solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False))
+
+
+def _returned(own: Array, both: Array) -> Array:
+    """What G and h get back without columns of a set, as R (p + 1, c) with R R' of it: `own` (k, c), of the inverse of Cholesky's
+    factor, and T (k, p + 1) of the whole set.
+    """
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(own.T @ own), own.T @ both).T)
+
+
+def _left(of: Batch | TermGroup, taken: Array, kappa: float, rows: Places | slice = slice(None)) -> Array:
+    """What a set leaves of the terms' own G (t, c, c), of which it takes (t, c, k); of all terms, or of some rows."""
+    seen = of.tip[rows] / kappa**2
     if of.current is not None:
-        seen += of.current
+        seen += of.current[rows]
     if taken.size:
         seen -= taken @ taken.transpose(0, 2, 1)
     return np.asarray(seen)

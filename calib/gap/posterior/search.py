@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, groupby
 
 import numpy as np
 
@@ -50,6 +50,7 @@ class Search:
 
     def __init__(self, evidence: Evidence, forced: Collection[Key] = ()) -> None:
         self.evidence, self.forced = evidence, frozenset(forced) & evidence.of_key.keys()
+        self._every = frozenset(evidence.of_key)
         self.seen: dict[frozenset[Key], Weighed] = {}
         self.expanded: dict[frozenset[Key], Successors] = {}
 
@@ -112,9 +113,9 @@ class Search:
     def _traits(self, key: Key) -> Traits:
         return self.evidence.terms[self.evidence.of_key[key][0]].traits
 
-    def may_join(self, key: Key, present: Collection[Key]) -> bool:
-        """Whether a key can be in one set with those present."""
-        return True
+    def may_join(self, present: frozenset[Key]) -> frozenset[Key]:
+        """The other keys that can be in one set with those present."""
+        return self._every - present
 
     def _plain(self, key: Key) -> Member:
         """Any variant and scales of a key, to be polished."""
@@ -166,7 +167,7 @@ class Search:
         """A set with one term more, of those that add most, best first. `offer`: what each would add."""
         present = self.keys(members)
         blocks_count = sum(not isinstance(key, EffectName) for key in present)
-        open_ = {key for key in self.evidence.of_key if key not in present and key != but and self.may_join(key, present)}
+        open_ = self.may_join(present) - {but}
         if blocks_count >= BLOCKS_MOST:  # no further name where a block would explain more
             blocks = {key for key in open_ if not isinstance(key, EffectName)}
             least = max([least, *(gain for _, _, gain in offer.largest(blocks, 1, least))])
@@ -183,16 +184,18 @@ class Search:
         gains: list[float] = []
         for _ in range(POLISHES):
             before = tuple(current), kappa
-            beyond, gains = 0.0, []
-            for place in range(len(current)):
-                key = evidence.terms[current[place][0]].key
-                added = evidence.added_in_place(current, place, kappa)
-                number = int(np.argmax(added.top))
+            beyond, gains, added = 0.0, [], None
+            for place, member in enumerate(before[0]):
+                if added is None:
+                    added = evidence.added_in_place(current, kappa, place)
+                numbers = np.array(evidence.of_key[evidence.terms[member[0]].key])
+                number = int(numbers[np.argmax(added.top[numbers])])
                 current[place] = number, int(added.best[number])
-                numbers = evidence.of_key[key]
                 more = float(np.log(np.sum(np.exp(added.log[numbers] - added.top[number]))))
                 beyond += more + float(added.bound[number])
                 gains.append(float(added.top[number]) + more + evidence.terms[number].log_odds)
+                if current[place] != member:
+                    added = None  # what the next ones add beside it is something else
             kappa = evidence.inflation(current, kappa)
             if tuple(current) == before[0] and abs(kappa / before[1] - 1.0) < 1e-3:
                 break
@@ -212,6 +215,10 @@ class MergingSearch(Search):
     def __init__(self, evidence: Evidence) -> None:
         super().__init__(evidence)
         self.barred: frozenset[Key] = frozenset()
+        self._alike: dict[Key, set[Key]] = {}  # names that are one thing, of each of them
+        for (_, alternative), names in groupby(sorted(self._every, key=self._thing), self._thing):
+            together = set(names)
+            self._alike |= dict.fromkeys(together if alternative else (), together)
 
     def bar(self, keys: Collection[Key]) -> None:
         """Look for sets without these from now on; those that were weighed and have none of them stay."""
@@ -245,20 +252,16 @@ class MergingSearch(Search):
         for members in self._larger(rest, evidence.offer(rest, best.kappa), BESIDE, None, least):
             self.weigh(members)
 
-    def may_join(self, key: Key, present: Collection[Key]) -> bool:
+    def may_join(self, present: frozenset[Key]) -> frozenset[Key]:
         """Not two that are one thing: with both, each hides what the other does."""
-        if key in self.barred:
-            return False
-        if not isinstance(key, EffectName):
-            return True
-        alternative = self._traits(key).alternative
-        return not alternative or not any(
-            isinstance(one, EffectName) and one != key and one.joint == key.joint and self._traits(one).alternative == alternative
-            for one in present
-        )
+        return (super().may_join(present) - self.barred).difference(*(self._alike.get(key, ()) for key in present))
+
+    def _thing(self, key: Key) -> tuple[int, str]:
+        """A name's joint, and what it is there as others are."""
+        return key.joint or 0, self._traits(key).alternative if isinstance(key, EffectName) else ""
 
     def _starts(self) -> list[frozenset[Key]]:
-        return [some for some in super()._starts() if all(self.may_join(key, some - {key}) for key in some)]
+        return [some for some in super()._starts() if all(key in self.may_join(some - {key}) for key in some)]
 
     def _joint(self, number: int) -> int:
         key = self.evidence.terms[number].key

@@ -67,8 +67,9 @@ def test_what_terms_add_without_each_member_is_what_they_add_to_the_others() -> 
     assert len(each) == len(members)
     for place, (member, offer) in enumerate(zip(members, each, strict=True)):
         expected, added = evidence.added([other for other in members if other is not member], 1.1), offer.added(range(5))
-        in_place = evidence.added_in_place(members, place, 1.1)
-        assert in_place.log[member[0]] == pytest.approx(expected.log[member[0]], rel=1e-12)
+        for first in range(place + 1):
+            in_place = evidence.added_in_place(members, 1.1, first)
+            assert in_place.log[member[0]] == pytest.approx(expected.log[member[0]], rel=1e-9)
         assert added.log == pytest.approx(expected.log, rel=1e-9, abs=1e-9)
         assert np.array_equal(added.best, expected.best)
 
@@ -83,6 +84,19 @@ def _many_terms(seed: int) -> tuple[Evidence, list[tuple[int, int]]]:
     columns[:, ::2] += 0.7 * columns[:, :1]  # much is alike
     y = columns @ (rng.normal(size=columns.shape[1]) * (rng.random(columns.shape[1]) < 0.2)) + rng.normal(size=ROWS)
     return _evidence(terms, columns, y), [(1, 5), (9, 2), (20, 3)]
+
+
+def test_all_variants_of_each_member_are_weighed_beside_its_others() -> None:
+    evidence, members = _many_terms(5)
+    in_place = evidence.added_in_place(members, 0.9)
+    keys = [evidence.terms[number].key for number, _ in members]
+    assert np.array_equal(np.flatnonzero(np.isfinite(in_place.log)), sorted(k for key in keys for k in evidence.of_key[key]))
+    for key, member in zip(keys, members, strict=True):
+        numbers, expected = evidence.of_key[key], evidence.added([other for other in members if other is not member], 0.9)
+        assert len(numbers) == (3 if key == EffectName("backlash", 1) else 1)
+        for found, wanted in ((in_place.log, expected.log), (in_place.top, expected.top), (in_place.bound, expected.bound)):
+            assert found[numbers] == pytest.approx(wanted[numbers], rel=1e-9, abs=1e-9)
+        assert np.array_equal(in_place.best[numbers], expected.best[numbers])
 
 
 @pytest.mark.parametrize("seed", range(4))
