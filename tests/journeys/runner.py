@@ -99,6 +99,8 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
     around = os.environ | {"PATH": path, "PYTHONPATH": str(HERE.parents[1]), "HOME": str(folder), "XDG_RUNTIME_DIR": str(run)}
     around["ARMWRIGHT_RUNTIME_DIR"] = str(run / "armwright")
     running: list[subprocess.Popen[bytes]] = []
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job, and what bash begins would ignore it, too
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         for step in journey.steps():
             command = re.sub(r"\{([A-Z_]+)\}", lambda name: words[name[1]], step.command)
