@@ -150,6 +150,7 @@ def _take(
             process.wait(LIMIT_s)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
     says = step.says_first + step.says
     if (process.poll() or 0) != status or not _found(says, said, words):
         wanted = "\n".join(says)
