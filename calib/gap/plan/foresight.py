@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -116,7 +117,7 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     if could:
         yes = [str(entry.name) for entry in could if entry.is_nameable]
         sentences.append(f"Of usual size, the poses could name: {', '.join(yes) or 'nothing'}.")
-        sentences += [f"They could not name {entry.name}: {_why(entry, payload_kg)}." for entry in could if not entry.is_nameable]
+        sentences += _unnamed([entry for entry in could if not entry.is_nameable], payload_kg)
     kinds = dict.fromkeys(run.kind for run in plan.runs)
     if kinds:
         sentences += of_boards(arm)
@@ -126,10 +127,15 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
     return tuple(sentences)
 
 
-def _why(entry: Nameable, payload_kg: float) -> str:
-    if entry.confusable_with:
-        return f"it is indistinguishable from {', '.join(map(str, entry.confusable_with))}"
-    more = "" if payload_kg else "; a --payload would help" if entry.name.effect == "joint_compliance" else ""
-    if entry.name.effect == "thermal_drift":
-        more = "; a longer session (--minutes) would help"
-    return f"its detectability is only {entry.detectability:.1f} standard deviations{more}"
+def _unnamed(entries: Sequence[Nameable], payload_kg: float) -> Iterator[str]:
+    """What cannot be named, by reason."""
+    weak = [entry for entry in entries if not entry.confusable_with]
+    if weak:
+        effects = {entry.name.effect for entry in weak}
+        more = [f" --minutes helps {name}." for name in ("thermal_drift",) if name in effects]
+        more += [f" --payload helps {name}." for name in ("joint_compliance",) if name in effects and not payload_kg]
+        seen = ", ".join(f"{entry.name} ({entry.detectability:.1f})" for entry in weak)
+        yield f"They could not name what is too small beside the noise (in standard deviations): {seen}.{''.join(more)}"
+    alike = [f"{entry.name} ({', '.join(map(str, entry.confusable_with))})" for entry in entries if entry.confusable_with]
+    if alike:
+        yield f"They could not name what looks like another effect (in brackets): {'; '.join(alike)}."
