@@ -121,7 +121,7 @@ firmware-fuzz:  ## the firmware under sanitizers: FUZZ_FRAMES=100000000 mutated 
 firmware-difference: dev  ## the firmware in C against the mock's own in Python: CONVERSATIONS=100000 random ones, a minute
 	$(BIN)/python -m tests.fuzz.firmware $(or $(CONVERSATIONS),20000) $(SEED)
 
-mutants: dev  ## are the tests sharp? every small change of the safety layer (tests/mutants/survivors.toml), half an hour; SAMPLE=300 SEED=1 of the whole product, drawn by chance: twenty minutes of one core
+mutants: dev  ## are the tests sharp? every small change of the safety layer (tests/mutants/survivors.toml), half an hour; SAMPLE=300 SEED=1 of the whole product, drawn by chance: an hour of one core, or two
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m tests.mutants.run $(MODULES) $(if $(SAMPLE),--sample $(SAMPLE) --seed $(or $(SEED),1))
 
 screenshots: dev  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
