@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -160,19 +162,27 @@ PICTURE_STYLE: Any = {  # matplotlib's stubs want a literal for every key
 }
 
 
+CLOUD, CLOUD_dpi = 500, 160  # dots of one line
+
+
 def svg(size_in: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     """An inline <svg> of what `draw` draws on a figure.
 
-    `draw` places its axes itself: matplotlib's own layout draws everything several times.
+    `draw` places its axes itself: matplotlib's own layout draws everything several times. Clouds of dots become pixels: an
+    element each made a page of a long recording 39 MB.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     with rc_context(PICTURE_STYLE):
         figure = Figure(figsize=size_in)
         draw(figure)
+        for line in figure.findobj(Line2D):
+            if line.get_linestyle() == "None" and np.size(line.get_xdata()) > CLOUD:
+                line.set_rasterized(True)
         text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(text, format="svg", dpi=CLOUD_dpi, metadata={"Date": None, "Creator": None})
     return _inline(text.getvalue())
 
 

@@ -8,7 +8,6 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +43,8 @@ def supplied_text(name: str) -> str:
 def _supplied_name(name: str) -> str:
     plain = re.sub(r"[-_ .]", "", name).lower()
     if plain not in arm_names():
+        from difflib import get_close_matches
+
         names = " or ".join(f'"{name}"' for name in arm_names())
         near = get_close_matches(plain, arm_names(), n=1)
         meant = f"did you mean {near[0]}?" if near else ""

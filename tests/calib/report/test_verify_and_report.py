@@ -14,7 +14,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.calibration import verification_json, write_calibrated_arm, write_calibration_json
 from calib.errors import CalibrationError
-from calib.report.page import list_section
+from calib.report.page import list_section, svg
 from calib.report.pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import ReportData, dh_section, parameters_section, report_html, write_report
 from calib.results import InputFile, Provenance, input_file
@@ -314,3 +314,15 @@ def test_the_rows_of_an_arm_with_a_tilt_stand_beside_those_that_it_had() -> None
     assert html == dh_section(with_tilt_behind(arm, 2), arm).html
     assert "link 4" in html
     assert "have other rows" in dh_section(arm, load_arm("so101")).html
+
+
+def test_a_cloud_of_dots_is_pixels_and_few_dots_stay_sharp() -> None:
+    def drawn(count: int) -> str:
+        at = np.linspace(0.0, 1.0, count)
+        return svg((4.0, 3.0), lambda figure: figure.subplots().plot(at, at**2, "o"))
+
+    few, many = drawn(100), drawn(20_000)
+    assert few.count("<use") > 100
+    assert "<image" not in few
+    assert many.count("<image") == 1
+    assert len(many) < 100_000
