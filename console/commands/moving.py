@@ -16,6 +16,7 @@ from control.files import changing, read_text, write_whole
 from control.model.arm import Arm
 from control.model.cell import load_cell
 from control.model.description import load_arm
+from control.model.rules import ANGLE, STEP
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath, plan_path
@@ -169,6 +170,9 @@ def _jog(args: argparse.Namespace) -> int:
     if (args.joint is None) == (args.axis is None):
         raise ArmError("jog: give either --joint or --axis")
     is_turn = args.axis is not None and args.axis.startswith("r")
+    rule = STEP if args.axis is not None and not is_turn else ANGLE
+    if not rule.holds(args.by):
+        raise ArmError(f"jog: --by: expected {rule.expected}, got {args.by:g}{rule.doubt(args.by)}")
     step: dict[str, Any] = {"axis": args.axis, "by_rad" if is_turn else "by_m": args.by, "frame": args.frame}
     speed = "speed_rad_s" if is_turn else "speed_m_s"
     if args.joint is not None:

@@ -98,6 +98,7 @@ LIMIT: Final = Rule("an angle within four turns, in rad", lambda x: abs(x) <= 8 
 TILT: Final = Rule("a tilt within +-pi/2 rad", lambda x: abs(x) <= math.pi / 2, *_DEG)
 BACKOFF: Final = Rule("an angle up to 1 rad", lambda x: x <= 1.0, *_DEG)
 JOINT_SPEED: Final = Rule("a speed up to 50 rad/s", lambda x: x <= 50.0, "", "degrees per second", math.pi / 180)
+STEP: Final = Rule("a step within +-1 m", lambda x: abs(x) <= 1.0, *_MM)
 LENGTH: Final = Rule("a length within +-10 m", lambda x: abs(x) <= 10.0, *_MM)
 POSITION: Final = Rule("coordinates within +-10 m", lambda v: max(map(abs, v)) <= 10.0, *_MM)
 HEIGHT: Final = Rule("a height within +-10 m", lambda x: abs(x) <= 10.0, *_MM)

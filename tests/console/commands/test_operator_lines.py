@@ -205,6 +205,22 @@ def test_a_jog_against_the_end_of_a_range_fails_in_words() -> None:
         assert "range" in outcomes[0].transcript or "singular" in outcomes[0].transcript
 
 
+@pytest.mark.parametrize(
+    ("step", "said"),
+    [
+        ("--joint 1 --by 45", "--by: expected an angle within +-2 pi rad, got 45 (this looks like degrees: write 0.785398)"),
+        ("--axis rz --by -30", "got -30 (this looks like degrees: write -0.523599)"),
+        ("--axis z --by 10", "--by: expected a step within +-1 m, got 10 (this looks like millimetres: write 0.01)"),
+    ],
+)
+def test_a_jog_in_degrees_or_millimetres_is_refused_with_what_to_write(step: str, said: str) -> None:
+    with holding_cell() as cell:
+        (outcome,) = played(cell, f"jog {step}")
+        assert outcome.status == 2
+        assert said in outcome.transcript
+        assert cell.mode is Mode.HOLDING
+
+
 def test_way_points_taught_by_hand_make_a_path_that_runs(tmp_path: Path) -> None:
     file = tmp_path / "taught.csv"
     with holding_cell() as cell:
