@@ -39,7 +39,7 @@ def run_script(args: argparse.Namespace) -> int:
             shown_at.append(progress)
         return client
 
-    def say(outcome: LineOutcome) -> None:
+    def tell(outcome: LineOutcome) -> None:
         outcomes.append(outcome)
         for progress in shown_at:
             progress.close()
@@ -47,7 +47,7 @@ def run_script(args: argparse.Namespace) -> int:
             terminal.write(_described(outcome))
             terminal.flush()
 
-    status = replay(lines, connect, say)
+    status = replay(lines, connect, tell)
     if args.json:
         answer(args, {"status": status, "lines": [_message(outcome) for outcome in outcomes]}, "")
     return status

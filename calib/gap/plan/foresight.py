@@ -132,10 +132,11 @@ def _unnamed(entries: Sequence[Nameable], payload_kg: float) -> Iterator[str]:
     weak = [entry for entry in entries if not entry.confusable_with]
     if weak:
         effects = {entry.name.effect for entry in weak}
-        more = [f" --minutes helps {name}." for name in ("thermal_drift",) if name in effects]
-        more += [f" --payload helps {name}." for name in ("joint_compliance",) if name in effects and not payload_kg]
+        more = " --minutes helps thermal_drift." if "thermal_drift" in effects else ""
+        if "joint_compliance" in effects and not payload_kg:
+            more += " --payload helps joint_compliance."
         seen = ", ".join(f"{entry.name} ({entry.detectability:.1f})" for entry in weak)
-        yield f"They could not name what is too small beside the noise (in standard deviations): {seen}.{''.join(more)}"
+        yield f"They could not name what is too small beside the noise (in standard deviations): {seen}.{more}"
     alike = [f"{entry.name} ({', '.join(map(str, entry.confusable_with))})" for entry in entries if entry.confusable_with]
     if alike:
         yield f"They could not name what looks like another effect (in brackets): {'; '.join(alike)}."
